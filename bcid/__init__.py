@@ -25,15 +25,11 @@ from bcid.base.version import VERSION as __version__
 if TYPE_CHECKING:
     from bcid.api.functions import compare, diagnose, explain, explore, fit, identify, propose
     from bcid.api.results import load
-    from bcid.exploration.loop import ExploreOptions
+    from bcid.base.options import ExplainOptions, ExploreOptions, IdentifyOptions, ProposeOptions, StageOptions
     from bcid.forms.model import Model, Term
     from bcid.forms.simulate import simulate
-    from bcid.grammar.propose import ProposeOptions
     from bcid.measurement import Measurement
     from bcid.scene import Scene, motions
-    from bcid.search.explain import ExplainOptions
-    from bcid.search.identify_options import IdentifyOptions
-    from bcid.search.stages import StageOptions
 
 _MODULES = {
     "bcid.scene": ("Scene",),
@@ -41,11 +37,7 @@ _MODULES = {
     "bcid.api.functions": ("identify", "compare", "diagnose", "fit", "explain", "propose", "explore"),
     "bcid.forms.simulate": ("simulate",),
     "bcid.api.results": ("load",),
-    "bcid.search.identify_options": ("IdentifyOptions",),
-    "bcid.search.stages": ("StageOptions",),
-    "bcid.search.explain": ("ExplainOptions",),
-    "bcid.exploration.loop": ("ExploreOptions",),
-    "bcid.grammar.propose": ("ProposeOptions",),
+    "bcid.base.options": ("IdentifyOptions", "StageOptions", "ExplainOptions", "ProposeOptions", "ExploreOptions"),
     "bcid.forms.model": ("Model", "Term"),
 }
 _HOME = {name: module for module, names in _MODULES.items() for name in names} | {"motions": "bcid.scene.motions"}

@@ -1,4 +1,4 @@
-"""Evidence about bcid, in a checkout: `bcid-validate golden`, or `python -m validation golden`. Studies also run under mpirun."""
+"""Evidence about bcid, in a checkout: `bcid-validate`, or `python -m validation`. Studies also run under mpirun."""
 
 from __future__ import annotations
 

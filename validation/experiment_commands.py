@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from bcid.app.options import add_command
+from bcid.app.shared_flags import add_command
 from bcid.base.progress import progress_on
 from validation.golden.cases import CASES
 from validation.outside.worlds import CASES as CASES_OF_KIND

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from bcid.app.console import print_result, progress_of
-from bcid.app.options import add_command, add_output, add_run, names_in, seed
+from bcid.app.flags import names_in, seed
+from bcid.app.shared_flags import add_command, add_output, add_run
 from bcid.base.collective import Comm
 from bcid.base.errors import InputError
 from bcid.base.progress import Progress

@@ -11,17 +11,18 @@ from typing import Any
 from bcid.api.results import DiagnosisResult, ExploreResult, IdentifyResult, ProposeResult
 from bcid.base.collective import Comm, on_root
 from bcid.base.errors import InputError, nearest
+from bcid.base.options import ExplainOptions, ExploreOptions, IdentifyOptions, ProposeOptions
 from bcid.base.progress import Progress
 from bcid.exploration import explore_run
-from bcid.exploration.loop import ExploreOptions, paired
+from bcid.exploration.loop import check as check_exploration
 from bcid.exploration.loop import explore as explore_with
+from bcid.exploration.loop import gripper_scale, paired
 from bcid.exploration.robots import Robot
 from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import check_geometry
 from bcid.forms.mesh.patches import divided
 from bcid.forms.model import Model, Term, check_physics
 from bcid.grammar.proposal_documents import WrittenProposal, proposal_documents, searched
-from bcid.grammar.propose import ProposeOptions
 from bcid.grammar.propose_run import effect_names
 from bcid.inference.continuation import truncate_to_converged
 from bcid.measurement import Measurement
@@ -35,8 +36,6 @@ from bcid.search.answer.output import collect
 from bcid.search.answer.output import documents as diagnosis_documents
 from bcid.search.answer.source import Source
 from bcid.search.answer.written_term import parsed_term
-from bcid.search.explain import ExplainOptions
-from bcid.search.identify_options import IdentifyOptions
 
 SceneLike = Scene | str | Path
 MeasurementLike = Measurement | str | Path
@@ -214,7 +213,7 @@ def propose(
     """
     comm, chosen = comm or _alone(), options or ProposeOptions()
     chosen.check()
-    names = effect_names(Path(f"{name}.py"), chosen.terms)
+    names = effect_names(Path(f"{name}.py"), chosen.max_effects)
     source = _source(scene, measurement, comm, model, None, ())
     told: list[WrittenProposal] = []
 
@@ -253,12 +252,12 @@ def explore(
     """
     comm, chosen = comm or _alone(), options or ExploreOptions()
     body = divided(_scene(scene, comm), comm)
-    chosen.check(body)
+    check_exploration(chosen, body)
     ladder = paired(body, chosen.level, comm)
     check_geometry(ladder, 0, comm)
     with TemporaryDirectory(prefix="bcid-") as folder:
         place = PredictionStore(store or Path(comm.bcast(folder)), comm, shared=True)
-        gripper, levels = chosen.gripper(body), range(len(ladder.levels))
+        gripper, levels = gripper_scale(chosen, body), range(len(ladder.levels))
         predictors = [PullPredictor(ladder, n, comm, place, progress=progress, gripper=gripper) for n in levels]
         try:
             finer = predictors[1] if len(predictors) > 1 else None

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bcid.app.console import beside_the_result, draw, finish, progress_of, tell
-from bcid.app.options import all_names, listed, names_in, noise_in, random_state_in
+from bcid.app.flags import given, made
+from bcid.app.shared_flags import all_names
 from bcid.base.collective import Comm, on_root
 from bcid.base.errors import InputError
+from bcid.base.options import ExplainOptions, ExploreOptions, IdentifyOptions, ProposeOptions, StageOptions
 from bcid.base.progress import Progress, clear
 from bcid.base.run_folder import RunFolder
 from bcid.base.shipped import shipped
-
-if TYPE_CHECKING:
-    from bcid.search.explain import ExplainOptions
-    from bcid.search.stages import StageOptions
 
 DEMO_SCENE = "examples/scenes/slab_explain.toml"
 DEMO_MEASUREMENT = "examples/measurements/slab-34-heavy"
@@ -58,9 +56,8 @@ def _demo_report(folder: Path) -> None:
 def identify(arguments: argparse.Namespace, comm: Comm) -> None:
     """`bcid identify`."""
     from bcid.search.answer.identify_run import run_identification
-    from bcid.search.identify_options import IdentifyOptions
 
-    options = IdentifyOptions(arguments.certify, arguments.level, _stages(arguments))
+    options = made(IdentifyOptions, arguments, {"stages": _stages(arguments)})
     scene, measurement, output = arguments.scene, arguments.measurement, arguments.output
     progress = progress_of(arguments, comm.rank)
     folder = run_identification(
@@ -71,17 +68,11 @@ def identify(arguments: argparse.Namespace, comm: Comm) -> None:
 
 def _stages(arguments: argparse.Namespace) -> StageOptions | None:
     """Options of the search in stages; None where it is not asked for."""
-    from bcid.search.stages import StageOptions, Stop
-
-    names = [field.name for field in fields(StageOptions)]
-    given = {name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None}
-    if not arguments.stages:
-        if given:
-            name = next(iter(given)).replace("_", "-")
-            raise InputError(f"--{name}: is of the search in stages; add --stages")
-        return None
-    stop = Stop.parse(given.pop("stop")) if "stop" in given else Stop()
-    return StageOptions(**given, stop=stop)
+    found = given(StageOptions, arguments)
+    if found and not arguments.stages:
+        name = next(iter(found)).replace("_", "-")
+        raise InputError(f"--{name}: is of the search in stages; add --stages")
+    return StageOptions(**found) if arguments.stages else None
 
 
 def compare(arguments: argparse.Namespace, comm: Comm) -> None:
@@ -99,7 +90,7 @@ def diagnose(arguments: argparse.Namespace, comm: Comm) -> None:
     from bcid.search.answer.compare_runs import run_diagnose
 
     progress = progress_of(arguments, comm.rank)
-    common = _common(arguments, comm, progress) | {"only": listed(arguments.only)}
+    common = _common(arguments, comm, progress) | given(ExplainOptions, arguments, ("only",))
     folder = run_diagnose(arguments.run_folder, _beside(arguments, "diagnose"), **common)
     finish(folder, arguments, comm, progress)
 
@@ -119,8 +110,7 @@ def fit(arguments: argparse.Namespace, comm: Comm) -> None:
 
 def explain(arguments: argparse.Namespace, comm: Comm) -> None:
     """`bcid explain`."""
-    if arguments.most < 1:
-        raise InputError(f"--most {arguments.most}: must be at least 1")
+    made(ExplainOptions, arguments).check()
     progress, folder = progress_of(arguments, comm.rank), arguments.output
     if on_root(comm, lambda: _lacks_a_proposal(arguments)):
         progress.say(f"{folder} holds the explanation already: going on from there")
@@ -140,7 +130,7 @@ def _lacks_a_proposal(arguments: argparse.Namespace) -> bool:
         return False
     run = RunFolder.open(folder)
     names = {"scene": str(arguments.scene), "measurement": str(arguments.measurement)}
-    options = json.loads(json.dumps(asdict(_options(arguments))))
+    options = json.loads(json.dumps(asdict(made(ExplainOptions, arguments))))
     known = run.record["command"], run.record["state"], run.record.get("names"), run.record["inputs"].get("options")
     if known != ("explain", "finished", names, options):
         return False
@@ -165,13 +155,10 @@ def _proposed(
     run: Path, output: Path | None, folder: Path, arguments: argparse.Namespace, comm: Comm, progress: Progress
 ) -> None:
     """Search the grammar beside the model of a run, and tell what came out."""
-    from bcid.grammar.propose import ProposeOptions
     from bcid.grammar.propose_run import run_propose
 
-    options = ProposeOptions(level=arguments.level)
-    if arguments.command == "propose":
-        kinds = options.kinds if arguments.kinds is None else names_in(arguments.kinds)
-        options = replace(options, terms=arguments.most, kinds=kinds)
+    names = () if arguments.command == "propose" else ("level",)
+    options = ProposeOptions(**given(ProposeOptions, arguments, names))
     files = run_propose(run, output, folder, comm, options, progress, arguments.overwrite, arguments.effects)
     finish(folder, arguments, comm, progress)
     for file in files if comm.rank == 0 else ():
@@ -182,19 +169,9 @@ def _explained(scene: Path, measurement: Path, arguments: argparse.Namespace, co
     """Run the whole loop; returns the run folder."""
     from bcid.search.answer.compare_runs import run_explain
 
-    options, files = _options(arguments), getattr(arguments, "effects", [])
+    options, files = made(ExplainOptions, arguments), getattr(arguments, "effects", [])
     store = getattr(arguments, "store", None)
     return run_explain(scene, measurement, arguments.output, options, comm, progress, arguments.overwrite, files, store)
-
-
-def _options(arguments: argparse.Namespace) -> ExplainOptions:
-    """Of the loop; the demo has none to choose."""
-    from bcid.search.explain import ExplainOptions
-
-    only = listed(getattr(arguments, "only", None))
-    return ExplainOptions(
-        getattr(arguments, "level", None), getattr(arguments, "most", ExplainOptions.effects), only=only
-    )
 
 
 def _beside(arguments: argparse.Namespace, command: str) -> Path:
@@ -206,29 +183,17 @@ def _beside(arguments: argparse.Namespace, command: str) -> Path:
 def _common(arguments: argparse.Namespace, comm: Comm, progress: Progress) -> dict[str, Any]:
     """What all jobs on a run take."""
     common = {"comm": comm, "progress": progress, "overwrite": arguments.overwrite}
-    return common | {"level": arguments.level, "files": arguments.effects, "store": arguments.store}
+    more = {"files": arguments.effects, "store": arguments.store}
+    return common | given(ExplainOptions, arguments, ("level",)) | more
 
 
 def explore(arguments: argparse.Namespace, comm: Comm) -> None:
     """`bcid explore`."""
     from bcid.exploration.explore_run import run_exploration
-    from bcid.exploration.loop import ExploreOptions
 
     if not arguments.wait > 0:
         raise InputError(f"--wait {arguments.wait:g}: must be a positive number of seconds")
-    options = ExploreOptions(
-        confidence=arguments.confidence,
-        budget=arguments.budget,
-        criterion=arguments.criterion,
-        look_ahead=not arguments.no_look_ahead,
-        grasps=None if arguments.grasps is None else names_in(arguments.grasps),
-        level=arguments.level,
-        noise=noise_in(arguments.noise),
-        samples=arguments.samples,
-        random_state=random_state_in(arguments.random_state),
-        effects=names_in(arguments.effects or ""),
-        wrench_noise=noise_in(arguments.wrench_noise, "--wrench-noise", "N"),
-    )
+    options = made(ExploreOptions, arguments)
     progress = progress_of(arguments, comm.rank)
     folder = run_exploration(
         arguments.scene,
@@ -240,6 +205,6 @@ def explore(arguments: argparse.Namespace, comm: Comm) -> None:
         arguments.overwrite,
         arguments.store,
         arguments.wait,
-        arguments.hide,
+        arguments.true_effect,
     )
     finish(folder, arguments, comm, progress)

@@ -6,18 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from bcid.app.answer_commands import compare, demo, diagnose, explain, explore, fit, identify, propose
-from bcid.app.options import (
-    add_command,
-    add_effect_files,
-    add_inputs,
-    add_level,
-    add_only,
-    add_output,
-    add_run,
-    add_source,
-    add_store,
-    seed,
-)
+from bcid.app.flags import add_flags
+from bcid.app.shared_flags import add_command, add_effect_files, add_inputs, add_output, add_run, add_source, add_store
+from bcid.base.options import ExplainOptions, ExploreOptions, IdentifyOptions, ProposeOptions, StageOptions
 
 
 def add_demo(commands: Any) -> None:
@@ -49,33 +40,15 @@ def add_identify(commands: Any) -> None:
     add_inputs(parser)
     add_output(parser)
     search = parser.add_argument_group("search")
-    search.add_argument(
-        "--certify",
-        default="auto",
-        help="follow every set of patches until it has lost: yes, no, or auto (up to 10 patches; else those near the likely ones)",
-    )
-    add_level(search)
+    add_flags(search, IdentifyOptions)
     search.add_argument(
         "--refine", type=int, default=0, metavar="ROUNDS", help="halve patches that leave a doubt, so many times (0)"
     )
     stages = parser.add_argument_group(
-        "stages", "Climb to the sets to begin with in stages over the mesh ladder (Algorithms 1 and 2 of the paper)."
+        "stages", "Climb to the sets to begin with in stages over the mesh hierarchy (Algorithms 1 and 2 of the paper)."
     )
     stages.add_argument("--stages", action="store_true", help="search in stages; the options below are of it")
-    stages.add_argument("--seeds", type=int, metavar="N", help="random seeds of the first stage (24)")
-    stages.add_argument("--random-state", type=seed, metavar="N", help="of the seeds (0)")
-    stages.add_argument("--coarsest", type=int, metavar="LEVEL", help="first mesh level (0)")
-    stages.add_argument("--finest", type=int, metavar="LEVEL", help="last mesh level (the scene's last)")
-    stages.add_argument(
-        "--stop",
-        metavar="RULE",
-        help='when no finer level is needed: same (default), "similarity 0.95", "refinement 0.5 mm", or last: all are used',
-    )
-    stages.add_argument("--start", help="seeds of later stages: maxima (default), or threshold")
-    stages.add_argument(
-        "--threshold", type=float, metavar="X", help="similarity for threshold, part of the best's (0.95)"
-    )
-    stages.add_argument("--toggles", type=int, metavar="N", help="random toggles of the seeds of later stages (0)")
+    add_flags(stages, StageOptions)
 
 
 def add_compare(commands: Any) -> None:
@@ -102,7 +75,7 @@ def add_diagnose(commands: Any) -> None:
         "Ranks all effects of the catalogue by what they would explain, and refits the first of them.",
     )
     parser.add_argument("-o", "--output", type=Path, metavar="RUN2", help="run folder to write (RUN-diagnose)")
-    add_only(parser)
+    add_flags(parser, ExplainOptions, ("only",))
     add_source(parser)
 
 
@@ -142,13 +115,11 @@ def add_explain(commands: Any) -> None:
         "A run that was killed goes on where it was when the same command is given again.",
     )
     add_inputs(parser)
-    add_only(parser)
-    parser.add_argument("--most", type=int, default=2, metavar="N", help="effects that may be adopted together (2)")
+    add_flags(parser, ExplainOptions)
     parser.add_argument(
         "--no-propose", action="store_true", help="where no known effect explains it, do not look beyond the catalogue"
     )
     add_store(parser)
-    add_level(parser)
     add_effect_files(parser)
     add_output(parser)
 
@@ -168,14 +139,7 @@ def add_propose(commands: Any) -> None:
         "-o", "--output", type=Path, metavar="EFFECT.py", help="file to write (proposed_term.py in the run folder)"
     )
     parser.add_argument("--folder", type=Path, metavar="RUN2", help="run folder to write (RUN-propose)")
-    parser.add_argument("--most", type=int, default=2, metavar="N", help="terms that may be proposed together (2)")
-    parser.add_argument(
-        "--kinds",
-        metavar="a,b",
-        help="of terms that are tried, as energy for the law alone where it has no direction: energy, fibres, boundary, "
-        "body force, grip, observation (all)",
-    )
-    add_level(parser)
+    add_flags(parser, ProposeOptions)
     add_effect_files(parser)
     add_output(parser)
 
@@ -196,28 +160,14 @@ def add_explore(commands: Any) -> None:
         "--robot", required=True, metavar="ROBOT", help="folder:DIR, or simulated:1,2 with the anchored patches"
     )
     add_run(parser)
-    parser.add_argument("--grasps", metavar="I,II", help="grasps to use (all)")
-    parser.add_argument("--effects", metavar="NAME,NAME", help="that may act besides, as gravity,fibres (none)")
+    add_flags(parser, ExploreOptions)
     parser.add_argument(
-        "--hide",
+        "--true-effect",
         action="append",
         default=[],
         metavar='"fibres: k1 = 5 kPa, angle = 30 deg"',
         help="an effect that the simulated body has and the scene does not; may be repeated",
     )
-    parser.add_argument("--confidence", type=float, default=0.95, metavar="P", help="when a set is decided (0.95)")
-    parser.add_argument("--budget", type=float, default=12.0, metavar="COST", help="of all pulls together (12)")
-    parser.add_argument(
-        "--criterion", default="information", metavar="NAME", help="information, entropy (as in the paper) or random"
-    )
-    parser.add_argument("--no-look-ahead", action="store_true", help="do not look at pairs of pulls")
-    parser.add_argument("--noise", metavar='"0.3 mm"', help="of pulls to come (the scene's)")
-    parser.add_argument(
-        "--wrench-noise", metavar='"0.02 N"', help="of the gripper's force, which then counts (it does not)"
-    )
-    parser.add_argument("--samples", type=int, default=1000, metavar="N", help="of the estimate of information (1000)")
-    parser.add_argument("--random-state", type=seed, default=0, metavar="N", help="of all that is drawn (0)")
     parser.add_argument("--wait", type=float, default=3600.0, metavar="SECONDS", help="for a measurement (3600)")
     add_store(parser)
-    add_level(parser)
     add_output(parser)

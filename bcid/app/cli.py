@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from typing import NoReturn
 
@@ -43,6 +44,16 @@ _WITHOUT_MPI = {
     "report": "nothing was written",
     "figure": "nothing was written",
     "examples": "remove the folder",
+}
+
+# Flags that were called otherwise.
+_RENAMED = {
+    "--certify": "--exhaustive",
+    "--toggles": "--perturb",
+    "--random-state": "--seed",
+    "--most": "--max-effects",
+    "--hide": "--true-effect",
+    "--no-film": "--no-video",
 }
 
 _DESCRIPTION = """bcid finds out how a soft body is held, and what its model lacks, by watching it being pulled.
@@ -93,10 +104,11 @@ def main(argv: list[str] | None = None) -> int:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Complains of arguments without the control characters in them."""
+    """Complains of arguments without the control characters in them, and of flags that have another name."""
 
     def error(self, message: str) -> NoReturn:
-        super().error(visible(message))
+        renamed = [f"{old} is {now} now" for old, now in _RENAMED.items() if re.search(rf"{old}\b", message)]
+        super().error(visible("; ".join([message, *renamed])))
 
 
 def build_parser() -> argparse.ArgumentParser:

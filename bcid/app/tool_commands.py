@@ -6,7 +6,8 @@ import argparse
 from typing import TYPE_CHECKING
 
 from bcid.app.console import beside_the_result, complain, extra, finish, progress_of, tell
-from bcid.app.options import direction_in, length_in, names_in, noise_in, random_state_in
+from bcid.app.flags import names_in
+from bcid.app.shared_flags import direction_in, length_in, noise_in
 from bcid.base.collective import Comm, first
 from bcid.base.errors import InputError
 from bcid.base.shipped import copy_examples
@@ -109,7 +110,7 @@ def track(arguments: argparse.Namespace) -> None:
         progress,
         arguments.overwrite,
         expected,
-        not arguments.no_film,
+        not arguments.no_video,
     )
     finish(folder, arguments, None, progress)
 
@@ -130,12 +131,12 @@ def simulate(arguments: argparse.Namespace, comm: Comm) -> None:
     anchors = names_in(arguments.anchors)
     if arguments.surface < 0:
         raise InputError(f"--surface {arguments.surface}: must be at least 0")
-    noise, random_state = noise_in(arguments.noise), random_state_in(arguments.random_state)
+    noise = noise_in(arguments.noise)
     if arguments.level is not None and not 0 <= arguments.level < len(scene.levels):
         raise InputError(f"--level {arguments.level}: the scene has levels 0 to {len(scene.levels) - 1}")
     if arguments.like and arguments.grasp:
         raise InputError("--grasp: a measurement given with --like names its grasps itself; leave one of the two out")
-    scene = with_effects(scene, arguments.hide)
+    scene = with_effects(scene, arguments.true_effect)
     shaped = (arguments.amplitude, arguments.steps, arguments.direction)
     if arguments.like and any(one is not None for one in shaped):
         raise InputError("--like: repeats the motions as they are; leave --amplitude, --steps and --direction out")
@@ -155,7 +156,7 @@ def simulate(arguments: argparse.Namespace, comm: Comm) -> None:
     progress.say(f"simulating {len(actions)} action(s), {sum(len(a) for a in actions)} steps")
     felt = noise_in(arguments.wrench_noise, "--wrench-noise", "N")
     wrench = arguments.wrench or felt is not None
-    chosen = arguments.level, noise, random_state, comm, None, wrench, times, felt or 0.0, arguments.surface
+    chosen = arguments.level, noise, arguments.seed, comm, None, wrench, times, felt or 0.0, arguments.surface
     made = make(scene, anchors, actions, *chosen)
     on_root(comm, lambda: made.write(arguments.output))
     if comm.rank == 0:

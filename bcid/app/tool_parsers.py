@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from bcid.app.options import add_command, add_output, add_quiet, add_run, seed
+from bcid.app.flags import seed
+from bcid.app.shared_flags import add_command, add_output, add_quiet, add_run
 from bcid.app.tool_commands import (
     calibrate,
     check_effect,
@@ -125,7 +126,7 @@ def add_track(commands: Any) -> None:
     parser.add_argument(
         "--expected", type=Path, metavar="MEASUREMENT", help="what a model has the beads do: they are looked for there"
     )
-    parser.add_argument("--no-film", action="store_true", help="do not write film.mp4")
+    parser.add_argument("--no-video", action="store_true", help="do not write film.mp4")
     add_output(parser)
 
 
@@ -150,7 +151,7 @@ def add_simulate(commands: Any) -> None:
     parser.add_argument("--steps", type=int, metavar="N", help="of each action, besides rest (the motion's)")
     parser.add_argument("--direction", metavar="X,Y,Z", help="where the motion's x axis goes, as 0,0,1 (1,0,0)")
     parser.add_argument(
-        "--hide",
+        "--true-effect",
         action="append",
         default=[],
         metavar='"gravity: weight = 9.8 kN/m^3"',
@@ -164,7 +165,7 @@ def add_simulate(commands: Any) -> None:
     parser.add_argument(
         "--surface", type=int, default=0, metavar="N", help="also points of the surface, so many in each step (none)"
     )
-    parser.add_argument("--random-state", type=seed, default=0, metavar="N", help="of the noise (0)")
+    parser.add_argument("--seed", type=seed, default=0, metavar="N", help="of the noise (0)")
     parser.add_argument("--wrench", action="store_true", help="also record force and torque of the gripper")
     parser.add_argument("--wrench-noise", metavar='"0.02 N"', help="the same with noise of this standard deviation")
     add_quiet(parser)

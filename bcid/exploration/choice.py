@@ -28,7 +28,6 @@ from bcid.scene import Scene
 from bcid.search.settings import SETTINGS
 
 Array = NDArray[np.float64]
-CRITERIA = ("information", "entropy", "random")
 # Pulls there and back promise the same by the linear response, but for round-off: so many digits tell them apart.
 _ALIKE = 9
 # Of the gripper's path: where the response is linear.

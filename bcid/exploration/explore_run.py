@@ -13,6 +13,7 @@ from typing import Any
 from bcid.base.collective import Comm, on_root
 from bcid.base.errors import InputError
 from bcid.base.inside_folder import refuse_links
+from bcid.base.options import ExploreOptions
 from bcid.base.progress import Progress, Silent
 from bcid.base.run_folder import RunFolder, running, sealed, unsealed
 from bcid.base.units import for_people, percent
@@ -22,9 +23,10 @@ from bcid.exploration.loop import (
     INSEPARABLE,
     UNEXPLAINED,
     Exploration,
-    ExploreOptions,
     Step,
+    check,
     explore,
+    gripper_scale,
     paired,
     posterior_before,
 )
@@ -80,18 +82,18 @@ def run_exploration(
     """
     progress = progress or Silent()
     scene = divided(on_root(comm, lambda: Scene.read(scene_file, physics=check_physics)), comm)
-    options.check(scene)
+    check(options, scene)
     kind, about = _robot_kind(robot, scene)
     body = with_effects(scene, hidden)
     if hidden and kind != SIMULATED:
-        raise InputError(f"--hide '{hidden[0]}': belongs to a simulated robot")
+        raise InputError(f"--true-effect '{hidden[0]}': belongs to a simulated robot")
     ladder = paired(scene, options.level, comm)
     check_geometry(ladder, 0, comm)
     inputs = {"scene": scene.fingerprint(), "robot": robot, "plan": asdict(options)}
     if hidden:
         inputs["hidden"] = list(hidden)
     place = store or folder / "predictions"
-    predictions, gripper = PredictionStore(place, comm, shared=True), options.gripper(scene)
+    predictions, gripper = PredictionStore(place, comm, shared=True), gripper_scale(options, scene)
     predictors = [
         PullPredictor(ladder, n, comm, predictions, progress=progress, gripper=gripper)
         for n in range(len(ladder.levels))
@@ -154,8 +156,8 @@ def _robot(kind: str, about: str, scene: Scene, options: ExploreOptions, store: 
         return Folder(Path(about), scene, wait)
     noise = options.noise if options.noise is not None else scene.noise_sigma or 0.0
     known = PredictionStore(store, MPI.COMM_SELF, shared=True)
-    body = PullPredictor(scene, len(scene.levels) - 1, MPI.COMM_SELF, known, gripper=options.gripper(scene))
-    return Simulated(body, _names(about), noise, options.random_state, options.wrench_noise or 0.0)
+    body = PullPredictor(scene, len(scene.levels) - 1, MPI.COMM_SELF, known, gripper=gripper_scale(options, scene))
+    return Simulated(body, _names(about), noise, options.seed, options.wrench_noise or 0.0)
 
 
 # -- the run folder
@@ -295,7 +297,7 @@ def _finite(value: float) -> float | None:
 
 def _about_effects(options: ExploreOptions, found: Exploration) -> list[str]:
     """Probabilities of the effects after each pull, and which pull told them apart."""
-    names = ("", *options.effects)
+    names = ("", *options.consider)
     lines = ["Probability of the effects:"]
     lines.append(f"  {'pull':>4}  " + "".join(f"{name or 'none':>{max(12, len(name) + 2)}}" for name in names))
     for step in found.steps:
@@ -313,7 +315,7 @@ def _about_effects(options: ExploreOptions, found: Exploration) -> list[str]:
 def effect_bits(options: ExploreOptions, found: Exploration) -> list[float]:
     """By how much each pull lowered the entropy of the effects, bits."""
     before = [
-        entropy(prior_effects(options.effects).values()),
+        entropy(prior_effects(options.consider).values()),
         *(entropy(step.view.effects.values()) for step in found.steps),
     ]
     return [a - b for a, b in itertools.pairwise(before)]
@@ -332,7 +334,7 @@ def summary(scene: Scene, options: ExploreOptions, found: Exploration) -> str:
     view, count = found.view, len(found.steps)
     best = view.best.label(scene.patches)
     pulls = f"{count} pull{'s' if count != 1 else ''}"
-    what = "Anchored patches" + (" and effect" if options.effects else "")
+    what = "Anchored patches" + (" and effect" if options.consider else "")
     words = {
         DECIDED: f"{what} of {scene.name}: {best}  (probability {percent(view.certainty)}, after {pulls})",
         INSEPARABLE: f"Not decided after {pulls}: no allowed pull separates "
@@ -347,7 +349,7 @@ def summary(scene: Scene, options: ExploreOptions, found: Exploration) -> str:
             value, error, unit = for_people(number["value"], number["stderr"], number["unit"])
             lines.append(f"  {name} = {value:.4g} +- {error:.2g} {unit}")
     lines += stiffness_in_words(view.stiffness)
-    if options.effects:
+    if options.consider:
         lines += ["", *_about_effects(options, found)]
     if view.missing >= THRESHOLDS.credible:
         lines += [

@@ -11,9 +11,10 @@ import numpy as np
 
 from bcid.base.collective import Comm, on_root
 from bcid.base.errors import InputError, SolveError, nearest
+from bcid.base.options import ExploreOptions
 from bcid.base.progress import Progress, Silent
 from bcid.base.units import percent
-from bcid.exploration.choice import CRITERIA, Choice, Chooser, Option
+from bcid.exploration.choice import Choice, Chooser, Option
 from bcid.exploration.hypothesis_predictions import HypothesisPredictor
 from bcid.exploration.joined import JoinedPredictors
 from bcid.exploration.moves import Move, cost, limits_of, moves
@@ -34,71 +35,27 @@ _UNCOUNTED = "holds forces of the gripper, which do not count: state their noise
 DECIDED, INSEPARABLE, BUDGET, UNEXPLAINED = "decided", "inseparable", "budget", "unexplained"
 
 
-@dataclass(frozen=True)
-class ExploreOptions:
-    """How an exploration goes.
+def check(options: ExploreOptions, scene: Scene) -> None:
+    """Refuse what makes no sense.
 
-    Attributes:
-        confidence: it ends when a set is at least so probable.
-        budget: what the pulls may cost together.
-        criterion: how pulls are chosen, one of `bcid.exploration.choice.CRITERIA`.
-        look_ahead: whether pairs of pulls are looked at where one cannot decide.
-        grasps: names of the grasps to use; all by default.
-        level: the fine level (see `paired`).
-        noise: standard deviation of a coordinate, m, expected of pulls to come; by default the scene's.
-        wrench_noise: of a force of the gripper, N; by default forces do not count.
-        samples: of the estimate of information.
-        effects: names of the effects that may act besides.
-        random_state: of that estimate, of random choice, and of the first sets where there are too many to look at all.
+    Raises:
+        InputError: which value, and what is allowed.
     """
+    limits_of(scene)
+    options.check(scene)
+    for name in options.consider:
+        if name not in effects.names():
+            raise InputError(f"--consider {name}: {nearest(name, effects.names())}")
+        if name in scene.effects:
+            raise InputError(f"--consider {name}: the scene's model has it already")
+    for name in options.grasps or ():
+        if name not in scene.grasps:
+            raise InputError(f"--grasps {name}: is not in the scene; {nearest(name, scene.grasps)}")
 
-    confidence: float = 0.95
-    budget: float = 12.0
-    criterion: str = "information"
-    look_ahead: bool = True
-    grasps: tuple[str, ...] | None = None
-    level: int | None = None
-    noise: float | None = None
-    samples: int = 1000
-    random_state: int = 0
-    effects: tuple[str, ...] = ()
-    wrench_noise: float | None = None
 
-    def check(self, scene: Scene) -> None:
-        """Refuse what makes no sense.
-
-        Raises:
-            InputError: which value, and what is allowed.
-        """
-        limits_of(scene)
-        if not 0.5 < self.confidence < 1:
-            raise InputError(f"--confidence {self.confidence:g}: must be above 0.5 and below 1")
-        if not (math.isfinite(self.budget) and self.budget > 0):
-            raise InputError(f"--budget {self.budget:g}: must be positive")
-        if self.criterion not in CRITERIA:
-            raise InputError(f"--criterion {self.criterion}: {nearest(self.criterion, CRITERIA)}")
-        if self.samples < 10:
-            raise InputError(f"--samples {self.samples}: must be at least 10")
-        if self.level is not None and not 0 <= self.level < len(scene.levels):
-            raise InputError(f"--level {self.level}: the scene has levels 0 to {len(scene.levels) - 1}")
-        if self.wrench_noise is not None and not (math.isfinite(self.wrench_noise) and self.wrench_noise > 0):
-            raise InputError(f"--wrench-noise {self.wrench_noise:g}: must be a positive force")
-        for name in self.effects:
-            if name not in effects.names():
-                raise InputError(f"--effects {name}: {nearest(name, effects.names())}")
-            if name in scene.effects:
-                raise InputError(f"--effects {name}: the scene's model has it already")
-        for name in self.grasps or ():
-            if name not in scene.grasps:
-                raise InputError(f"--grasps {name}: is not in the scene; {nearest(name, scene.grasps)}")
-
-    def gripper(self, scene: Scene) -> ForceScale | None:
-        """What forces of the gripper are divided by, where they count; for predictors."""
-        return None if self.wrench_noise is None else ForceScale.of_body(scene)
-
-    def moves(self, scene: Scene) -> tuple[Move, ...]:
-        """The pulls to choose from."""
-        return tuple(m for m in moves(scene) if self.grasps is None or m.grasp in self.grasps)
+def gripper_scale(options: ExploreOptions, scene: Scene) -> ForceScale | None:
+    """What forces of the gripper are divided by, where they count; for predictors."""
+    return None if options.wrench_noise is None else ForceScale.of_body(scene)
 
 
 @dataclass(frozen=True)
@@ -190,7 +147,7 @@ def explore(
         InputError: options or measurement do not fit the scene.
         BcidError: whatever the robot raises.
     """
-    options.check(scene)
+    check(options, scene)
     own = posterior or posterior_before(scene, options, predictor)
     loop = _Loop(scene, robot, options, predictor, fine, progress or Silent(), list(made), keep, first, own)
     try:
@@ -204,9 +161,9 @@ def posterior_before(
     scene: Scene, options: ExploreOptions, working: PullPredictor, store: PredictionStore | None = None
 ) -> PullPosterior:
     """The posterior of an exploration before any pull, with a store of predictions."""
-    known = effects.catalogue(options.effects) if options.effects else []
+    known = effects.catalogue(options.consider) if options.consider else []
     predictors = JoinedPredictors(scene, working.comm, options.level, store)
-    return PullPosterior(scene, working, predictors, known, options.random_state)
+    return PullPosterior(scene, working, predictors, known, options.seed)
 
 
 class _Loop:
@@ -233,12 +190,12 @@ class _Loop:
         self.chooser = Chooser(
             scene,
             HypothesisPredictor(predictor, fine),
-            options.moves(scene),
+            tuple(m for m in moves(scene) if options.grasps is None or m.grasp in options.grasps),
             options.criterion,
             options.look_ahead,
             options.samples,
             noise,
-            options.random_state,
+            options.seed,
             options.wrench_noise or 0.0,
         )
         self.steps: list[Step] = []

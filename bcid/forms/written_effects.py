@@ -24,7 +24,7 @@ def split(text: str) -> tuple[str, str, dict[str, str]]:
     return name, values.pop("place", place), values
 
 
-def with_effects(scene: Scene, hidden: Sequence[str], where: str = "--hide") -> Scene:
+def with_effects(scene: Scene, hidden: Sequence[str], where: str = "--true-effect") -> Scene:
     """The scene with more effects, each with values; `where` they stand is told in errors.
 
     Raises:

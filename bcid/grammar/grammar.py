@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.base.options import KINDS
 from bcid.forms.effects.effect import Effect
 from bcid.forms.force_bumps import farthest_point_sample
 from bcid.forms.forward import Forward
@@ -18,13 +19,12 @@ from bcid.grammar.boundary_terms import body_forces, boundary_terms
 from bcid.grammar.deformed import Deformed
 from bcid.grammar.effect_file import made, source
 from bcid.grammar.energies import energies
-from bcid.grammar.family import BODY, FIBRES, FINE, INNER_SPOT, SPOT, SURFACE, Family
+from bcid.grammar.family import BODY, FINE, INNER_SPOT, SPOT, SURFACE, Family
 from bcid.grammar.holds import Holds
 from bcid.grammar.other_laws import other_laws
 from bcid.grammar.replaced_law import ReplacedLaw
 
 Array = NDArray[np.float64]
-KINDS = ("energy", FIBRES, "boundary", "body force", "grip", "observation")
 # Spots are tried at so many places on the surface and in the body, of these sizes relative to it.
 _PLACES, _RADII = {SPOT: 100, INNER_SPOT: 50}, (0.06, 0.13)
 # Springs of any stiffness are tried on every second of those of the surface, with the smaller size.
@@ -57,7 +57,7 @@ class Grammar:
 
     Args:
         forward: of the body.
-        kinds: of `KINDS`, those that are tried.
+        kinds: of `bcid.base.options.KINDS`, those that are tried.
     """
 
     def __init__(self, forward: Forward, kinds: Sequence[str] = KINDS) -> None:

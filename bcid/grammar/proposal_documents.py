@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from bcid.base.options import ProposeOptions
 from bcid.base.units import unit_factor
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
 from bcid.grammar import proposal_text
 from bcid.grammar.effect_file import made, source
-from bcid.grammar.propose import Proposal, ProposeOptions, ladder, propose
+from bcid.grammar.propose import Proposal, ladder, propose
 from bcid.predict.predictor import Predictor
 from bcid.search.answer.diagnosis import Diagnosis
 from bcid.search.answer.law_form import LawForm

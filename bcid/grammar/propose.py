@@ -11,17 +11,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.base.errors import InputError, nearest
+from bcid.base.errors import InputError
+from bcid.base.options import ExplainOptions, ProposeOptions
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model, Term
 from bcid.grammar.family import Family
-from bcid.grammar.grammar import KINDS
 from bcid.grammar.term_scores import FITTED, ScoredFamily, TermScores
 from bcid.inference.thresholds import THRESHOLDS
 from bcid.predict.predictor import Predictor
 from bcid.search.answer.adequacy import judge
 from bcid.search.answer.explanation import Explanation, ModelStep, explained
-from bcid.search.explain import ExplainOptions, explain
+from bcid.search.explain import explain
 from bcid.search.fitting.fit import Fit, fit
 from bcid.search.fitting.ranking import Ranking
 from bcid.search.fitting.state import State
@@ -31,33 +31,6 @@ Array = NDArray[np.float64]
 _SETS = 12
 # So many families are told as rows of the ranking.
 _RANKED = 20
-
-
-@dataclass(frozen=True)
-class ProposeOptions:
-    """How far a search goes.
-
-    Attributes:
-        terms: that may be proposed together at most.
-        kinds: of terms that are tried, of `bcid.grammar.grammar.KINDS`; "fibres" are energies with a direction.
-        level: fine level (see `Predictor`).
-    """
-
-    terms: int = 2
-    kinds: tuple[str, ...] = KINDS
-    level: int | None = None
-
-    def check(self) -> None:
-        """Refuse what cannot be searched.
-
-        Raises:
-            InputError: says what is allowed.
-        """
-        if self.terms < 1:
-            raise InputError(f"{self.terms} terms: must be at least 1 (--most)")
-        for kind in self.kinds:
-            if kind not in KINDS:
-                raise InputError(f"kind '{kind}': {nearest(kind, KINDS)} (--kinds)")
 
 
 @dataclass(frozen=True)
@@ -140,7 +113,12 @@ def propose(predictor: Predictor, model: Model, options: ProposeOptions | None =
         raise InputError(f"terms of the grammar are scored on a body that stays flat, and this sheet wrinkles: {rule}")
     options = options or ProposeOptions()
     scores = TermScores(options.kinds)
-    found = explain(predictor, ExplainOptions(options.level, options.terms, FITTED, _SETS), model, candidates=scores)
+    found = explain(
+        predictor,
+        ExplainOptions(options.level, options.max_effects, fitted=FITTED, sets=_SETS),
+        model,
+        candidates=scores,
+    )
     return Proposal(found, _path(found, scores), tuple(scores.stages.get(model.name, ())), scores.scored)
 
 

@@ -10,12 +10,12 @@ from typing import Any
 from bcid.base.collective import Comm, on_root
 from bcid.base.errors import InputError
 from bcid.base.fingerprint import file_fingerprint
+from bcid.base.options import ProposeOptions
 from bcid.base.progress import Progress
 from bcid.base.run_folder import RunFolder, prove_writable, running, write_whole
 from bcid.forms.model import Model
 from bcid.grammar.effect_file import check_name
 from bcid.grammar.proposal_documents import WrittenProposal, proposal_documents, searched
-from bcid.grammar.propose import ProposeOptions
 from bcid.predict.predictor import Predictor
 from bcid.predict.store import PredictionStore
 from bcid.search.answer.compare_runs import MAKES, finish
@@ -56,7 +56,7 @@ def run_propose(
     """
     options = options or ProposeOptions()
     options.check()
-    names = effect_names(Path(FILE) if output is None else output, options.terms)
+    names = effect_names(Path(FILE) if output is None else output, options.max_effects)
     if output is not None and not overwrite:
         _refuse_existing([output.with_name(f"{name}.py") for name in names])
     if output is not None:

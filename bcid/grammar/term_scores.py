@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import SolveError
+from bcid.base.options import KINDS
 from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import Forward
 from bcid.forms.model import Model, Term
 from bcid.forms.probes import Sensitivities, SensitivityRequest
 from bcid.grammar.effect_file import made, source
 from bcid.grammar.family import OBSERVATION, Family
-from bcid.grammar.grammar import KINDS, Grammar, TermVariant
+from bcid.grammar.grammar import Grammar, TermVariant
 from bcid.grammar.holds import Grip, held_by
 from bcid.grammar.observation_terms import observation_terms, observed_variant, picture_is_told
 from bcid.grammar.pulled import gripper_moves, pulled_families, pulled_variants

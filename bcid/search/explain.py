@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from bcid.base.errors import SolveError
+from bcid.base.options import ExplainOptions
 from bcid.base.units import p_value, percent
 from bcid.forms import effects
 from bcid.forms.effects.effect import Effect
@@ -32,25 +33,6 @@ from bcid.search.searched import searched
 Anchored = frozenset[str]
 # Springs so many times as soft as the fitted ones hold nothing where those hardly do.
 _SOFTER = 100.0
-
-
-@dataclass(frozen=True)
-class ExplainOptions:
-    """How far the loop goes.
-
-    Attributes:
-        level: of the ladder, that both meshes go by; by default the last with at most 40,000 unknowns.
-        effects: effects that may be adopted together at most.
-        fitted: effects that are fitted on a few steps of each action, each time on one set, beside each model.
-        sets: anchor sets that are compared on a few steps of each action.
-        only: names of the effects to look at; all by default.
-    """
-
-    level: int | None = None
-    effects: int = 2
-    fitted: int = 10
-    sets: int = 28
-    only: tuple[str, ...] | None = None
 
 
 def explain(
@@ -79,7 +61,7 @@ def explain(
     chosen = options
 
     def search(base: State, sets: Sequence[Anchored]) -> FullSearch:
-        return FullSearch(base, candidates, sets, chosen.effects, chosen.fitted, chosen.sets)
+        return FullSearch(base, candidates, sets, chosen.max_effects, chosen.fitted, chosen.sets)
 
     queue = searched(predictor, model or Model.of(predictor.scene), (), search)
     best = queue.table.best()

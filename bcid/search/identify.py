@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.collective import Comm
+from bcid.base.options import ExplainOptions, IdentifyOptions
 from bcid.base.progress import Progress, Silent
 from bcid.forms.mesh.patches import divided
 from bcid.forms.model import Model
@@ -23,14 +24,13 @@ from bcid.scene import Scene
 from bcid.search.answer.anchor_answer import AnchorAnswer
 from bcid.search.answer.identification import Identification
 from bcid.search.candidates import Known
-from bcid.search.explain import ExplainOptions
 from bcid.search.fitting.state import State, detailed
 from bcid.search.followed_sets import FollowedSets
 from bcid.search.full_search import FullSearch
 from bcid.search.hypothesis_table import HypothesisTable
-from bcid.search.identify_options import IdentifyOptions
 from bcid.search.searched import searched
 from bcid.search.set_misfits import staged_sets
+from bcid.search.settings import SETTINGS
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
@@ -77,8 +77,9 @@ def identify(
         staged = staged_sets(scene, measurement, comm, options.stages, model, settings, progress, start)
     predictor = Predictor(scene, measurement, comm, options.level, settings, progress, store)
     try:
-        certifies = None if options.certify == "no" else options.certifies(scene)
-        table, followed = posterior(predictor, model or Model.of(scene), staged.likely if staged else start, certifies)
+        few = len(scene.patches) <= SETTINGS.few_patches
+        follows = None if options.exhaustive == "no" else few or options.exhaustive == "yes"
+        table, followed = posterior(predictor, model or Model.of(scene), staged.likely if staged else start, follows)
         best = table.best()
         found, state = AnchorAnswer(table, best, followed, staged).identification(), best.fitted.state
         # The residual that is drawn is the one that is reported.

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import SolveError
+from bcid.base.options import StageOptions
 from bcid.base.progress import Steps
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
@@ -26,7 +27,6 @@ from bcid.search.fitting.state import FEW_STEPS, State, few_steps
 from bcid.search.full_search import FullSearch
 from bcid.search.set_misfits import staged_sets
 from bcid.search.settings import SETTINGS
-from bcid.search.stages import StageOptions
 
 Anchored = frozenset[str]
 # Where none of them can be followed the coarsest level is climbed from so many seeds, with steps halved so often.

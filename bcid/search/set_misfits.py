@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from bcid.base.collective import Comm
 from bcid.base.errors import SHORT_OF_MEMORY, MachineError, SolveError, evaluating
+from bcid.base.options import StageOptions
 from bcid.base.progress import Progress, Silent
 from bcid.base.scheduler import spread
 from bcid.forms.forward import Forward
@@ -27,7 +28,7 @@ from bcid.measurement import Measurement
 from bcid.predict.forward_models import ForwardModels
 from bcid.scene import Scene
 from bcid.search.hill_climbing import Candidate
-from bcid.search.stages import SearchStage, StageOptions, in_stages
+from bcid.search.stages import SearchStage, in_stages
 
 Array = NDArray[np.float64]
 

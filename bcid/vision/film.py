@@ -70,7 +70,7 @@ class Film:
         if written < self._frames:
             raise MachineError(
                 f"{self.path}: cannot be written: it has {written} of {self._frames} frames; free some space or choose another "
-                "folder, or make no film (--no-film)"
+                "folder, or make no film (--no-video)"
             )
         with writing(self.path):
             self._partial.replace(self.path)

@@ -52,7 +52,7 @@ def _screen(page: Path, target: Path) -> None:
 
 def explore(folder: Path) -> None:
     """The belief of an exploration with a noise far above that of a camera."""
-    chosen = ("--robot", "simulated:1,2", "--noise", "4 mm", "--random-state", 1, "--quiet")
+    chosen = ("--robot", "simulated:1,2", "--noise", "4 mm", "--seed", 1, "--quiet")
     bcid("explore", SCENE, *chosen, "-o", folder / "explored")
     shutil.copyfile(folder / "explored/belief.png", DOCS / "explore.png")
 

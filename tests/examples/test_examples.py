@@ -15,13 +15,13 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from bcid import ExplainOptions, Measurement, Model, Scene
+from bcid.base.options import IdentifyOptions
 from bcid.forms.kinematics import Kinematics
 from bcid.grammar.effect_file import made
 from bcid.predict.predictor import Predictor
 from bcid.scene.uncertainty import Uncertainty
 from bcid.search.fitting.fit import fit
 from bcid.search.fitting.state import State
-from bcid.search.identify_options import IdentifyOptions
 from bcid.vision.triangulate import linear, triangulate
 
 Array = NDArray[np.float64]
@@ -88,7 +88,7 @@ def test_07_strip(real_data: Callable[[str], Path], tmp_path: Path) -> None:
 
 def test_07_the_whole_field_is_explained(real_data: Callable[[str], Path]) -> None:
     """435 speckles in a few of the states: rubber that keeps its volume misses them, and nothing is named that is not there."""
-    few = ExplainOptions(effects=1, only=("grasp_offset", "stiffness_gradient"))
+    few = ExplainOptions(max_effects=1, only=("grasp_offset", "stiffness_gradient"))
     found = load("07_strip").explained(real_data("duodic_rubber"), 6, few)
     assert found.verdict == "unknown"
     assert found.ladder[0].rms > 0.03e-3

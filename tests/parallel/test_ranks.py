@@ -20,8 +20,9 @@ from verify.problems import box, move, pull_and_lift, scene_of, straight
 
 from bcid.base.collective import Comm, on_root
 from bcid.base.errors import BcidError, InputError
+from bcid.base.options import ExploreOptions, IdentifyOptions
 from bcid.base.scheduler import counter, share
-from bcid.exploration.loop import Exploration, ExploreOptions, explore
+from bcid.exploration.loop import Exploration, explore
 from bcid.exploration.robots import Simulated
 from bcid.forms.forward import Forward, Prediction
 from bcid.forms.mesh import level_mesh
@@ -45,7 +46,6 @@ from bcid.search.answer.source import from_files
 from bcid.search.fitting.curvature import curvature
 from bcid.search.fitting.state import State
 from bcid.search.identify import identify
-from bcid.search.identify_options import IdentifyOptions
 from bcid.search.set_misfits import MeasuredMisfits
 
 pytestmark = pytest.mark.parallel
@@ -253,9 +253,9 @@ def test_a_simulated_measurement_is_the_same_everywhere(slab: Scene, measured: A
     assert same_everywhere(measured.positions)
 
 
-@pytest.mark.parametrize("certify", ["no", "yes"])
-def test_candidates_spread_over_ranks_give_the_same_ranking(slab: Scene, measured: Any, certify: str) -> None:
-    options = IdentifyOptions(certify=certify, level=0)
+@pytest.mark.parametrize("exhaustive", ["no", "yes"])
+def test_candidates_spread_over_ranks_give_the_same_ranking(slab: Scene, measured: Any, exhaustive: str) -> None:
+    options = IdentifyOptions(exhaustive=exhaustive, level=0)
     # Each rank reads the measurement as rank 0 has it: the input of one search is the same on all ranks.
     measurement = WORLD.bcast(measured, root=0)
     alone = identify(slab, measurement, MPI.COMM_SELF, options)
@@ -426,7 +426,7 @@ def test_rival_effects_do_not_depend_on_the_ranks(coarse_scene: Path) -> None:
 
     def explored(comm: Comm) -> Exploration:
         predictor, body = PullPredictor(scene, 0, comm), PullPredictor(heavy, 0, MPI.COMM_SELF)
-        plan = ExploreOptions(noise=3e-3, budget=1, samples=100, grasps=("II",), effects=("gravity",))
+        plan = ExploreOptions(noise=3e-3, budget=1, samples=100, grasps=("II",), consider=("gravity",))
         found = explore(scene, Simulated(body, "34", 3e-3, 1), plan, predictor)
         predictor.destroy()
         body.destroy()

@@ -92,7 +92,7 @@ def test_absurd_units_are_refused(unit: str) -> None:
 
 @pytest.mark.parametrize("seed", ["-1", "9223372036854775808", "1" * 5000, "1.5", "١"])
 def test_a_seed_that_no_run_could_keep_is_refused(seed: str, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["simulate", "scene.toml", "--anchors", "1", "--motion", "pull", "-o", "out", f"--random-state={seed}"]
+    words = ["simulate", "scene.toml", "--anchors", "1", "--motion", "pull", "-o", "out", f"--seed={seed}"]
     with pytest.raises(SystemExit, match="2"):
         cli.build_parser().parse_args(words)
     said = capsys.readouterr().err.splitlines()[-1]

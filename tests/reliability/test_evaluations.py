@@ -14,6 +14,7 @@ import pytest
 import bcid
 from bcid import ExplainOptions, Measurement, Scene
 from bcid.base.errors import InputError
+from bcid.base.options import IdentifyOptions
 from bcid.forms import effects
 from bcid.forms.forward import Forward
 from bcid.forms.model import Model, Term, check_physics
@@ -22,7 +23,6 @@ from bcid.forms.set_tangent import SetTangent, SetTangents
 from bcid.forms.simulate import simulate
 from bcid.measurement import Action
 from bcid.scene import Level
-from bcid.search.identify_options import IdentifyOptions
 
 ANCHORED = ("3", "4")
 ERRORS: tuple[Callable[[], Exception], ...] = (
@@ -89,7 +89,7 @@ def test_identify_evaluation_raises_run_ends_with_an_answer(
     slab: Scene, measurement: Measurement, monkeypatch: pytest.MonkeyPatch, what: str
 ) -> None:
     broken(monkeypatch, what, first=5, every=4)
-    found = bcid.identify(slab, measurement, options=IdentifyOptions(certify="no"))
+    found = bcid.identify(slab, measurement, options=IdentifyOptions(exhaustive="no"))
 
     assert 0 <= found.probability <= 1
     assert what != "prediction" or found.found["failures"]

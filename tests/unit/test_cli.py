@@ -96,7 +96,7 @@ def test_a_process_ends_with_the_exit_code(tmp_path: Path) -> None:
     [
         (["identify", "none.toml", SEEN, "-o", "run"], ["none.toml", "no such scene file"]),
         (["identify", SLAB, "none", "-o", "run"], ["none", "no such measurement folder"]),
-        (["identify", SLAB, SEEN, "-o", "run", "--certify", "guess"], ["guess", "auto, yes, no"]),
+        (["identify", SLAB, SEEN, "-o", "run", "--exhaustive", "guess"], ["guess", "auto, yes, no"]),
         (["identify", SLAB, SEEN, "-o", "run", "--stages", "--finest", "9"], ["finest level 9", "levels 0 to 3"]),
         (["identify", SLAB, SEEN, "-o", "run", "--stages", "--seeds", "0"], ["seeds = 0"]),
         (["identify", SLAB, SEEN, "-o", "run", "--stages", "--start", "x"], ["maxima, threshold"]),
@@ -106,9 +106,9 @@ def test_a_process_ends_with_the_exit_code(tmp_path: Path) -> None:
         (["explain", "none.toml", SEEN, "-o", "run"], ["none.toml", "no such scene file"]),
         (["explain", SLAB, "none", "-o", "run"], ["none", "no such measurement folder"]),
         (["explain", SLAB, SEEN, "-o", "run", "--only", "gravty"], ["did you mean 'gravity'"]),
-        (["explain", SLAB, SEEN, "-o", "run", "--only", ","], ["names no effect"]),
+        (["explain", SLAB, SEEN, "-o", "run", "--only", ","], ["names nothing"]),
         (["explain", SLAB, SEEN, "-o", "run", "--level", "7"], ["--level 7", "levels 0 to 3"]),
-        (["explain", SLAB, SEEN, "-o", "run", "--most", "0"], ["--most 0", "at least 1"]),
+        (["explain", SLAB, SEEN, "-o", "run", "--max-effects", "0"], ["--max-effects 0", "at least 1"]),
         (["explain", SLAB, SEEN, "-o", "run", "--effects", "none.py"], ["none.py", "no such file"]),
         (["explore", "none.toml", "--robot", "simulated:1", "-o", "run"], ["none.toml", "no such scene file"]),
         (["explore", SLAB, "--robot", "simulated:1", "-o", "run"], ["has no [explore] table"]),
@@ -149,16 +149,16 @@ def test_a_process_ends_with_the_exit_code(tmp_path: Path) -> None:
         (["simulate", SLAB, "--motion", "pull", "--direction", "0,0,0", "-o", "made"], ["not all zero"]),
         (["simulate", SLAB, "--like", SEEN, "--steps", "0", "-o", "made"], ["--like", "--steps"]),
         (
-            ["simulate", SLAB, "--motion", "pull", "--hide", "Gravity: weight = 1 kN/m^3", "-o", "made"],
+            ["simulate", SLAB, "--motion", "pull", "--true-effect", "Gravity: weight = 1 kN/m^3", "-o", "made"],
             ["mean 'gravity'"],
         ),
         (
-            ["simulate", SLAB, "--motion", "pull", "--hide", "gravity: weight = 9.8", "-o", "made"],
+            ["simulate", SLAB, "--motion", "pull", "--true-effect", "gravity: weight = 9.8", "-o", "made"],
             ["gravity.weight", "unit"],
         ),
-        (["simulate", SLAB, "--motion", "pull", "--hide", "gravity", "-o", "made"], ["expected as in"]),
+        (["simulate", SLAB, "--motion", "pull", "--true-effect", "gravity", "-o", "made"], ["expected as in"]),
         (["Identify", SLAB, SEEN, "-o", "run"], ["'Identify' is no command", "did you mean 'identify'"]),
-        (["identify", SLAB, SEEN, "-o", "run", "--certify", "Yes"], ["did you mean 'yes'"]),
+        (["identify", SLAB, SEEN, "-o", "run", "--exhaustive", "Yes"], ["did you mean 'yes'"]),
     ],
 )
 def test_mistakes(arguments: list[object], words: list[str], tmp_path: Path) -> None:
@@ -380,7 +380,7 @@ def test_simulate_then_identify_then_again(tmp_path: Path) -> None:
     assert made.returncode == 0, made.stderr
     assert (tmp_path / "made/wrench.csv").exists()
     refused(bcid("simulate", SLAB, "--motion", "pull", "--level", "2", "-o", "made", cwd=tmp_path), "exists already")
-    call = ["identify", SLAB, "made", "-o", "run", "--level", "1", "--certify", "yes", "--quiet"]
+    call = ["identify", SLAB, "made", "-o", "run", "--level", "1", "--exhaustive", "yes", "--quiet"]
     done = process(*call, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Anchored patches of slab: {3 4}" in done.stdout
@@ -432,7 +432,7 @@ noise_sigma = "0.1 mm"
     )
     made = bcid("simulate", "bar.toml", "--anchors", "left", "--motion", "pull", "-o", "made", cwd=tmp_path)
     assert made.returncode == 0, made.stderr
-    found = bcid("identify", "bar.toml", "made", "-o", "run", "--certify", "yes", "--no-picture", cwd=tmp_path)
+    found = bcid("identify", "bar.toml", "made", "-o", "run", "--exhaustive", "yes", "--no-picture", cwd=tmp_path)
     assert found.returncode == 0, found.stderr
     assert "{left}" in found.stdout
 

@@ -15,9 +15,10 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from bcid.base.errors import InputError, MachineError
+from bcid.base.options import ExploreOptions
 from bcid.exploration.choice import Chooser, credible_set
 from bcid.exploration.hypothesis_predictions import HypothesisPredictor
-from bcid.exploration.loop import ExploreOptions
+from bcid.exploration.loop import check
 from bcid.exploration.moves import Move, cost, limits_of, moves
 from bcid.exploration.posterior_summary import PosteriorSummary
 from bcid.exploration.robots import Folder
@@ -343,7 +344,7 @@ def test_the_live_sets_hold_nearly_all_probability() -> None:
 )
 def test_a_wrong_plan_is_refused(wrong: dict[str, Any], words: str) -> None:
     with pytest.raises(InputError, match=words):
-        ExploreOptions(**wrong).check(scene())
+        check(ExploreOptions(**wrong), scene())
 
 
 # -- the folder robot

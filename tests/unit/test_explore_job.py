@@ -10,9 +10,10 @@ import pytest
 from mpi4py import MPI
 
 from bcid.base.errors import InputError, MachineError
+from bcid.base.options import ExploreOptions
 from bcid.base.run_folder import RunFolder
 from bcid.exploration.explore_run import _keep, _made, run_exploration
-from bcid.exploration.loop import ExploreOptions, explore
+from bcid.exploration.loop import explore, gripper_scale
 from bcid.exploration.moves import Move, moves
 from bcid.exploration.robots import Simulated
 from bcid.predict.pull_prediction import predicted
@@ -106,8 +107,8 @@ def test_forces_tell_more_and_how_stiff_the_body_is(coarse_scene: Path) -> None:
     stiffer = replace(scene.material, values=scene.material.values | {"young": "24 kPa"})
     found = {}
     for told in (plan, replace(plan, wrench_noise=None)):
-        predictor = PullPredictor(scene, 0, MPI.COMM_SELF, gripper=told.gripper(scene))
-        body = PullPredictor(replace(scene, material=stiffer), 0, MPI.COMM_SELF, gripper=plan.gripper(scene))
+        predictor = PullPredictor(scene, 0, MPI.COMM_SELF, gripper=gripper_scale(told, scene))
+        body = PullPredictor(replace(scene, material=stiffer), 0, MPI.COMM_SELF, gripper=gripper_scale(plan, scene))
         robot = Simulated(body, "12", 2e-3, 0, 0.01)
         found[told.wrench_noise] = explore(scene, robot, told, predictor)
         predictor.destroy()

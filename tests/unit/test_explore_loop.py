@@ -11,11 +11,12 @@ import pytest
 from mpi4py import MPI
 
 from bcid.base.errors import InputError, SolveError
+from bcid.base.options import ExploreOptions
 from bcid.exploration import pull_posterior
 from bcid.exploration.choice import Choice
 from bcid.exploration.explore_run import exploration_json, summary
 from bcid.exploration.joined import joined
-from bcid.exploration.loop import BUDGET, DECIDED, INSEPARABLE, Exploration, ExploreOptions, explore, posterior_before
+from bcid.exploration.loop import BUDGET, DECIDED, INSEPARABLE, Exploration, explore, posterior_before
 from bcid.exploration.moves import Move, limits_of
 from bcid.exploration.robots import Simulated
 from bcid.forms.model import Model

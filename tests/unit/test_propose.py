@@ -18,6 +18,7 @@ from mpi4py import MPI
 
 from bcid.app.cli import main
 from bcid.base.errors import InputError, SolveError
+from bcid.base.options import ExplainOptions, ProposeOptions
 from bcid.base.run_folder import RunFolder
 from bcid.forms import effects
 from bcid.forms.mesh import level_mesh
@@ -28,7 +29,7 @@ from bcid.grammar.effect_file import made, source
 from bcid.grammar.energies import directions, energies
 from bcid.grammar.family import Family
 from bcid.grammar.other_laws import other_laws
-from bcid.grammar.propose import Proposal, ProposeOptions
+from bcid.grammar.propose import Proposal
 from bcid.grammar.propose_run import effect_names
 from bcid.grammar.replaced_law import APART, COUPLED, ReplacedLaw
 from bcid.inference.continuation import ContinuationError
@@ -40,7 +41,6 @@ from bcid.report.page import write_report
 from bcid.scene import Scene
 from bcid.scene.motions import motion
 from bcid.search.answer.source import stored_effect
-from bcid.search.explain import ExplainOptions
 from validation.beyond import beyond_case
 from validation.beyond.beyond_study import judge, rates, table
 from validation.beyond.mesh_floor import BeyondMesh, MeshFloor
@@ -141,7 +141,7 @@ def test_the_file_of_a_term_in_time_is_known_by_its_own_name(tmp_path: Path, cat
 
 def test_what_cannot_be_searched_is_refused() -> None:
     with pytest.raises(InputError, match="at least 1"):
-        ProposeOptions(terms=0).check()
+        ProposeOptions(max_effects=0).check()
     with pytest.raises(InputError, match=r"kind 'energies': .*energy"):
         ProposeOptions(kinds=("energies",)).check()
     with pytest.raises(InputError, match=r"must end in \.py"):
@@ -408,7 +408,7 @@ def test_hidden_laws_are_as_stiff_as_the_scenes_at_small_strain(law: str) -> Non
         ([], "failed", "unknown", True),
         ([], "finished", "unknown", False),
         ([], "failed", "gravity", False),
-        (["--most", "1"], "failed", "unknown", False),
+        (["--max-effects", "1"], "failed", "unknown", False),
         (["--overwrite"], "failed", "unknown", False),
         (["--no-propose"], "failed", "unknown", False),
     ],

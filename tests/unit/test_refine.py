@@ -15,6 +15,7 @@ import pytest
 import xarray as xr
 
 from bcid.base.errors import InputError
+from bcid.base.options import IdentifyOptions
 from bcid.base.progress import Silent
 from bcid.base.run_folder import sealed
 from bcid.forms.mesh.patches import halves
@@ -35,7 +36,6 @@ from bcid.search.answer.refine import (
 )
 from bcid.search.hill_climbing import Candidate
 from bcid.search.identify import identify
-from bcid.search.identify_options import IdentifyOptions
 
 ROOT = Path(__file__).resolve().parents[2]
 SLAB = Scene.read(ROOT / "examples/scenes/slab.toml")

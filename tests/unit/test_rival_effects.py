@@ -12,10 +12,11 @@ from scipy.integrate import quad, simpson
 from scipy.stats import norm
 
 from bcid.base.errors import InputError
+from bcid.base.options import ExploreOptions
 from bcid.exploration.explore_run import run_exploration
 from bcid.exploration.fitted_numbers import FittedNumbers
 from bcid.exploration.joined import joined
-from bcid.exploration.loop import ExploreOptions, posterior_before
+from bcid.exploration.loop import check, posterior_before
 from bcid.exploration.moves import Move, limits_of
 from bcid.forms.model import Model, Term
 from bcid.forms.simulate import simulate
@@ -146,7 +147,7 @@ def test_pulls_are_joined_with_their_noise(heavy: tuple[Scene, Measurement]) -> 
 
 def test_a_hidden_weight_is_told_from_soft_anchors(coarse_scene: Path, tmp_path: Path) -> None:
     hidden = [f"gravity: weight = {WEIGHT} N/m^3"]
-    plan = ExploreOptions(noise=NOISE, effects=("gravity", "soft_anchor"), samples=200)
+    plan = ExploreOptions(noise=NOISE, consider=("gravity", "soft_anchor"), samples=200)
     run_exploration(coarse_scene, "simulated:3,4", tmp_path / "run", plan, MPI.COMM_SELF, hidden=hidden)
     found = json.loads((tmp_path / "run/exploration.json").read_text())
     assert (found["reason"], found["anchored"], found["effect"]) == ("decided", ["3", "4"], "gravity")
@@ -159,7 +160,7 @@ def test_a_hidden_weight_is_told_from_soft_anchors(coarse_scene: Path, tmp_path:
     assert "{3 4} + gravity" in text
     assert "told them apart most" in text
     # The scene alone explains nothing of it, and says so instead of naming a set.
-    alone = replace(plan, effects=(), budget=2.0)
+    alone = replace(plan, consider=(), budget=2.0)
     run_exploration(coarse_scene, "simulated:3,4", tmp_path / "alone", alone, MPI.COMM_SELF, hidden=hidden)
     found = json.loads((tmp_path / "alone/exploration.json").read_text())
     assert found["reason"] != "decided"
@@ -172,7 +173,7 @@ def test_an_effect_is_not_fitted_at_a_place_that_it_has_not(coarse_scene: Path) 
     action = Move("II", "out", limits_of(scene).displacement).action(limits_of(scene))
     seen = simulate(scene, ["3", "4"], [action], 0, NOISE, 3, model=model)
     working = PullPredictor(scene, 0, MPI.COMM_SELF)
-    posterior = posterior_before(scene, ExploreOptions(effects=("soft_anchor",)), working)
+    posterior = posterior_before(scene, ExploreOptions(consider=("soft_anchor",)), working)
     found = posterior.after(seen)
     assert found is not None
     assert found.fitted
@@ -202,4 +203,4 @@ def test_what_cannot_be_hidden_is_told(coarse_scene: Path, tmp_path: Path, robot
 def test_wrong_effects_are_refused(coarse_scene: Path, name: str, words: str) -> None:
     scene = Scene.read(coarse_scene)
     with pytest.raises(InputError, match=words):
-        ExploreOptions(effects=(name,)).check(replace(scene, effects={"gravity": {"weight": "1 N/m^3"}}))
+        check(ExploreOptions(consider=(name,)), replace(scene, effects={"gravity": {"weight": "1 N/m^3"}}))

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from bcid.base.errors import InputError
+from bcid.base.options import IdentifyOptions, StageOptions, Stop
 from bcid.forms import effect_trial as trial
 from bcid.forms.simulate import recorded
 from bcid.inference.continuation import ContinuationError, truncate_to_converged
 from bcid.inference.hypotheses import label
 from bcid.measurement import Action, Measurement
 from bcid.search.hill_climbing import Candidate, all_candidates, climb, neighbours, perturbed, random_seeds
-from bcid.search.identify_options import IdentifyOptions
-from bcid.search.stages import StageOptions, Stop, in_stages
+from bcid.search.stages import in_stages
 
 PATCHES = ["1", "2", "3", "4", "5", "6"]
 TRUE = frozenset("25")
@@ -185,8 +185,8 @@ def test_seeds_are_different_and_repeatable() -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"random_state": -1},
-        {"toggles": -1},
+        {"seed": -1},
+        {"perturb": -1},
         {"threshold": math.nan},
         {"threshold": 1.0},
         {"start": "x"},
@@ -206,11 +206,11 @@ def test_stage_options_are_checked(wrong: dict[str, object]) -> None:
 
 def test_what_is_certified_is_checked() -> None:
     scene = SimpleNamespace(levels=(1, 2), patches=PATCHES)
-    for wrong in ({"certify": "x"}, {"level": 2}, {"level": -1}):
+    for wrong in ({"exhaustive": "x"}, {"level": 2}, {"level": -1}):
         with pytest.raises(InputError):
             IdentifyOptions(**wrong).check(scene)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="use certify no"):
-        IdentifyOptions(certify="yes").check(SimpleNamespace(levels=(1,), patches=range(17)))  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="use exhaustive no"):
+        IdentifyOptions(exhaustive="yes").check(SimpleNamespace(levels=(1,), patches=range(17)))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

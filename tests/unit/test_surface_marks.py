@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import bcid
 from bcid.base.errors import InputError
+from bcid.base.options import IdentifyOptions
 from bcid.forms import effects
 from bcid.forms.forward import Forward
 from bcid.forms.mesh import level_mesh
@@ -29,7 +30,6 @@ from bcid.measurement.frame_error import FrameError
 from bcid.measurement.plane_fits import Pieces, fit_planes
 from bcid.scene import Level, Scene, motions
 from bcid.search.answer.association import Association
-from bcid.search.identify_options import IdentifyOptions
 
 NOISE = 0.3e-3
 HELD = ["3", "4"]

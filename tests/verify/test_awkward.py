@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from bcid import Measurement, Scene
+from bcid.base.options import IdentifyOptions
 from bcid.forms.model import check_physics
 from bcid.forms.scene_errors import grip_term
 from bcid.forms.simulate import simulate
@@ -19,7 +20,6 @@ from bcid.measurement import Action
 from bcid.scene import Level
 from bcid.search.answer.identification import Identification
 from bcid.search.identify import identify
-from bcid.search.identify_options import IdentifyOptions
 
 Array = NDArray[np.float64]
 ANCHORED = ("1", "3")

@@ -17,12 +17,12 @@ import pytest
 from numpy.typing import NDArray
 from verify.problems import move
 
+from bcid.base.options import IdentifyOptions
 from bcid.forms.forward import Forward
 from bcid.forms.model import check_physics
 from bcid.forms.simulate import recorded
 from bcid.scene import Scene
 from bcid.search.identify import identify
-from bcid.search.identify_options import IdentifyOptions
 
 POINTS = {"top": (0.0, 0.015, 0.030), "side": (0.0, 0.0, 0.024), "other side": (0.0, 0.030, 0.006)}
 WEIGHT = {"gravity": 0.0, "52 g": 0.51012}

@@ -13,6 +13,7 @@ from mpi4py import MPI
 from bcid import Measurement, Scene, explain
 from bcid.app.cli import main
 from bcid.base.errors import InputError
+from bcid.base.options import ExplainOptions
 from bcid.exploration.moves import limits_of
 from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.simulate import simulate
@@ -20,7 +21,6 @@ from bcid.measurement import Action
 from bcid.predict.predictor import Predictor
 from bcid.scene.parts import Driven, Level, Limits
 from bcid.search.answer.identify_run import fitting
-from bcid.search.explain import ExplainOptions
 from bcid.search.fitting.fit import Fit, fit
 from bcid.search.fitting.state import State
 

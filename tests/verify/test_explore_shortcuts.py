@@ -10,8 +10,9 @@ from typing import Any
 import pytest
 from mpi4py import MPI
 
+from bcid.base.options import ExploreOptions
 from bcid.exploration import choice, pull_posterior
-from bcid.exploration.loop import Exploration, ExploreOptions, explore
+from bcid.exploration.loop import Exploration, explore
 from bcid.exploration.robots import Simulated
 from bcid.forms.model import check_physics
 from bcid.predict.pull_predictor import PullPredictor

@@ -18,6 +18,7 @@ from mpi4py import MPI
 from verify.problems import move
 
 from bcid.base.errors import InputError
+from bcid.base.options import ExplainOptions, IdentifyOptions
 from bcid.forms import effects
 from bcid.forms.forward import Forward, Prediction
 from bcid.forms.model import Model, Term, check_physics
@@ -38,7 +39,7 @@ from bcid.search.answer.adequacy import judge
 from bcid.search.answer.explanation import Explanation, explained, explains
 from bcid.search.answer.separate import separating_pulls
 from bcid.search.coarse_search import CoarseSearch
-from bcid.search.explain import ExplainOptions, explain
+from bcid.search.explain import explain
 from bcid.search.fitting import fitted_hypothesis
 from bcid.search.fitting.buckled_frames import buckled, leave_out
 from bcid.search.fitting.fit import Fit, columns, coordinates, fit
@@ -49,7 +50,6 @@ from bcid.search.fitting.state import FEW_STEPS, State, in_few_steps
 from bcid.search.fitting.variants import _meanwhile
 from bcid.search.hypothesis_table import HypothesisTable, TangentEvidence
 from bcid.search.identify import identify
-from bcid.search.identify_options import IdentifyOptions
 from validation.synthetic import outside
 
 ANCHORED = frozenset({"1", "3"})
@@ -551,7 +551,7 @@ def test_a_body_that_buckles_with_the_true_anchors_alone_is_no_evidence_that_som
     """The search begins at a set with which the body does not buckle."""
     measurement = Measurement.read(measurement_folder("slab-34-buckles"))
     start = [frozenset({"2", "7"}), frozenset({"3", "4"})]
-    found = identify(slab, measurement, options=IdentifyOptions(certify="no", level=1), start=start)
+    found = identify(slab, measurement, options=IdentifyOptions(exhaustive="no", level=1), start=start)
     assert found.anchored == ("3", "4")
     assert found.missing is not None
     assert found.missing < 0.1

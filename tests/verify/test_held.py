@@ -10,6 +10,7 @@ import pytest
 from mpi4py import MPI
 
 from bcid.base.errors import InputError
+from bcid.base.options import IdentifyOptions
 from bcid.forms.forward import Forward
 from bcid.forms.model import Model, check_physics
 from bcid.measurement import Measurement
@@ -17,7 +18,6 @@ from bcid.predict.predictor import Predictor
 from bcid.scene import Scene
 from bcid.scene.action import Action
 from bcid.search.identify import identify
-from bcid.search.identify_options import IdentifyOptions
 
 # A bar of which one end is pulled; its axis is x. The lower end is another place than the plane x = LOW.
 BAR = """SetFactory("OpenCASCADE");
@@ -154,7 +154,7 @@ def test_a_glued_pad_is_no_candidate(project: Path) -> None:
     np.testing.assert_allclose(moves[1], moves[0], atol=0.1 * np.abs(moves[0]).max())
     for predictor in predictors:
         predictor.destroy()
-    options = IdentifyOptions(certify="no")
+    options = IdentifyOptions(exhaustive="no")
     found = identify(known, measured, options=options)
     assert (found.anchored, found.probability > 0.99, found.missing < 0.5) == (("1",), True, True)
     unknown = identify(replace(known, held={}), measured, options=options)

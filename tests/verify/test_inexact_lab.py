@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from bcid import Measurement, Scene
+from bcid.base.options import IdentifyOptions
 from bcid.search.answer.identification import Identification
 from bcid.search.identify import identify
-from bcid.search.identify_options import IdentifyOptions
 
 
 def identified(project: Path, body: str, *start: frozenset[str]) -> Identification:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from bcid.base.options import ExplainOptions
 from bcid.forms.mesh.patch_frame import PatchFrame
 from bcid.forms.mesh.patches import halves
 from bcid.forms.model import check_physics
@@ -16,7 +17,7 @@ from bcid.forms.simulate import simulate
 from bcid.measurement import Action, Measurement
 from bcid.predict.predictor import Predictor
 from bcid.scene import Level, Scene
-from bcid.search.explain import ExplainOptions, explain
+from bcid.search.explain import explain
 
 STEPS = 4
 

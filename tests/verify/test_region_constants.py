@@ -15,13 +15,14 @@ from verify.problems import box, scene_of, straight
 
 from bcid import Measurement, Scene
 from bcid.base.errors import InputError
+from bcid.base.options import ExplainOptions
 from bcid.forms.forward import Forward
 from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.solver.equilibrium import Settings
 from bcid.predict.predictor import Predictor
 from bcid.scene.parts import BodyRegion, Box, Material
 from bcid.search.answer.explanation import Explanation
-from bcid.search.explain import ExplainOptions, explain
+from bcid.search.explain import explain
 
 OWN = "region_compressibility(ball).poisson"
 RIVALS = ("region_compressibility", "region_stiffness", "inclusion", "swelling")

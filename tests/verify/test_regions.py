@@ -14,6 +14,7 @@ from mpi4py import MPI
 
 from bcid import Scene
 from bcid.base.errors import InputError
+from bcid.base.options import ExplainOptions
 from bcid.forms.effects import effect
 from bcid.forms.mesh import level_mesh
 from bcid.forms.mesh.body_mesh import BodyMesh, volumes
@@ -24,7 +25,7 @@ from bcid.measurement import Measurement
 from bcid.predict.predictor import Predictor
 from bcid.scene.parts import BodyRegion, Box, Level, Polygon, Sphere
 from bcid.search.answer.explanation import Explanation
-from bcid.search.explain import ExplainOptions, explain
+from bcid.search.explain import explain
 
 RATIO = "region_stiffness(inlay).ratio"
 RIVALS = ("region_stiffness", "inclusion", "strain_stiffening")

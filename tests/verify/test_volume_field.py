@@ -91,7 +91,7 @@ def test_points_that_were_not_correlated_spoil_the_answer_where_they_are_believe
     text = mapping.read_text(encoding="utf-8")
     assert 'quality = "zncc"' in text
     believed.write_text(text.replace('quality = "zncc"', ""), encoding="utf-8")
-    found = identify(scene, Measurement.read(believed), options=IdentifyOptions(certify="no", level=1))
+    found = identify(scene, Measurement.read(believed), options=IdentifyOptions(exhaustive="no", level=1))
     assert found.rms > 5 * NOISE
     assert found.probability < 0.5
 

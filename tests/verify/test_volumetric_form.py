@@ -10,12 +10,13 @@ import pytest
 from mpi4py import MPI
 
 from bcid import Measurement, Scene
+from bcid.base.options import ExplainOptions
 from bcid.forms.model import check_physics
 from bcid.forms.simulate import simulate
 from bcid.predict.predictor import Predictor
 from bcid.scene import Level
 from bcid.search.answer.explanation import Explanation
-from bcid.search.explain import ExplainOptions, explain
+from bcid.search.explain import explain
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 FORMS = ("volumetric_quadratic", "volumetric_simo_taylor")

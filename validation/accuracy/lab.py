@@ -2,7 +2,7 @@
 
     ./dev python -m validation.accuracy.lab
     ./dev mpirun -n 2 python -m validation.accuracy.lab
-    ./dev python -m validation.accuracy.lab --no-certify     only what the climbs come to
+    ./dev python -m validation.accuracy.lab --no-exhaustive     only what the climbs come to
 
 Their names say which patches are anchored.
 """
@@ -15,12 +15,12 @@ from pathlib import Path
 from mpi4py import MPI
 
 from bcid import Measurement, Scene
+from bcid.base.options import IdentifyOptions
 from bcid.search.identify import identify
-from bcid.search.identify_options import IdentifyOptions
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 MEASUREMENTS = ("slab-12-semicircle", "slab-1234-semicircle", "slab-27-five", "slab-34-complex")
-OPTIONS = IdentifyOptions(certify="no" if "--no-certify" in sys.argv else "auto")
+OPTIONS = IdentifyOptions(exhaustive="no" if "--no-exhaustive" in sys.argv else "auto")
 
 
 def main() -> None:

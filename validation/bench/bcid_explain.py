@@ -13,10 +13,10 @@ from pathlib import Path
 from mpi4py import MPI
 
 import bcid
+from bcid.base.options import ExplainOptions
 from bcid.base.run_folder import RunFolder
 from bcid.base.shipped import shipped
 from bcid.search.answer.compare_runs import run_explain
-from bcid.search.explain import ExplainOptions
 from validation.bench.bench_slab import EXPLAINED, FOLDER
 
 TOLD = ("verdict", "verdict_probability", "anchored", "anchors_probability", "rms", "noise_rms")
@@ -48,7 +48,7 @@ def main() -> None:
     """Explain it, as the command does without pictures."""
     name, folder, *also = sys.argv[1:]
     clock, profile = Clock("bcid", f"bcid {bcid.__version__}"), cProfile.Profile()
-    options = ExplainOptions(level=0, effects=1, fitted=3, sets=12, only=FEW) if "quick" in also else None
+    options = ExplainOptions(level=0, max_effects=1, fitted=3, sets=12, only=FEW) if "quick" in also else None
     if "profile" in also:
         profile.enable()
     clock.start()

@@ -12,10 +12,10 @@ from pathlib import Path
 from mpi4py import MPI
 
 import bcid
+from bcid.base.options import ExploreOptions
 from bcid.base.run_folder import RunFolder
 from bcid.base.shipped import shipped
 from bcid.exploration.explore_run import run_exploration
-from bcid.exploration.loop import ExploreOptions
 from validation.bench.bench_slab import EXPLAINED
 
 ROBOT, NOISE, RANDOM_STATE = "simulated:1,2", 4e-3, 1
@@ -25,9 +25,9 @@ TOLD = ("reason", "anchored", "probability")
 def main() -> None:
     """Explore it, as the command does without pictures."""
     folder, *less = sys.argv[1:]
-    options = ExploreOptions(noise=NOISE, random_state=RANDOM_STATE)
+    options = ExploreOptions(noise=NOISE, seed=RANDOM_STATE)
     if less:
-        options = ExploreOptions(noise=NOISE, random_state=RANDOM_STATE, grasps=(less[0],), budget=float(less[1]))
+        options = ExploreOptions(noise=NOISE, seed=RANDOM_STATE, grasps=(less[0],), budget=float(less[1]))
     clock = Clock("bcid", f"bcid {bcid.__version__}")
     clock.start()
     place = run_exploration(shipped(EXPLAINED), ROBOT, Path(folder), options, MPI.COMM_WORLD, overwrite=True)

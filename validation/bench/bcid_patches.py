@@ -15,9 +15,9 @@ import sys
 from mpi4py import MPI
 
 import bcid
+from bcid.base.options import IdentifyOptions
 from bcid.forms.mesh.patches import half_names, halves
 from bcid.search.identify import identify
-from bcid.search.identify_options import IdentifyOptions
 from validation.bench.bench_slab import encoded, measurement, with_level
 
 

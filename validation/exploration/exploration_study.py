@@ -27,13 +27,14 @@ from typing import Any
 from bcid.base.collective import on_root
 from bcid.base.errors import InputError, SolveError
 from bcid.base.fingerprint import file_fingerprint
+from bcid.base.options import ExploreOptions
 from bcid.base.progress import Progress, Silent
 from bcid.base.run_folder import RunFolder, running
 from bcid.base.shipped import shipped
 from bcid.exploration.choice import Choice, Chooser
 from bcid.exploration.explore_run import telling_pull
 from bcid.exploration.hypothesis_predictions import HypothesisPredictor
-from bcid.exploration.loop import ExploreOptions, explore, paired, posterior_before
+from bcid.exploration.loop import explore, paired, posterior_before
 from bcid.exploration.moves import limits_of, moves
 from bcid.exploration.posterior_summary import PosteriorSummary
 from bcid.exploration.pull_posterior import PullPosterior
@@ -273,8 +274,8 @@ class Bench:
             noise=trial.noise,
             budget=BUDGET,
             # Only what is drawn for random pulls differs from trial to trial.
-            random_state=trial.number if trial.strategy == "random" else 0,
-            effects=RIVALS if trial.hidden else (),
+            seed=trial.number if trial.strategy == "random" else 0,
+            consider=RIVALS if trial.hidden else (),
             wrench_noise=trial.felt or None,
         )
         scene = self.scene
@@ -327,11 +328,11 @@ class Bench:
 
     def posterior(self, plan: ExploreOptions) -> PullPosterior:
         """Before any pull; trials share its meshes and what it predicts."""
-        if plan.effects not in self._posteriors:
+        if plan.consider not in self._posteriors:
             known, comm = self.predictor.store, self.predictor.comm
             store = PredictionStore(known.folder, comm, shared=True) if known else None
-            self._posteriors[plan.effects] = posterior_before(self.scene, plan, self.predictor, store)
-        return self._posteriors[plan.effects].anew()
+            self._posteriors[plan.consider] = posterior_before(self.scene, plan, self.predictor, store)
+        return self._posteriors[plan.consider].anew()
 
     def body(self, hidden: str) -> Any:
         """PullPredictor of what the body is really made of."""
@@ -348,7 +349,7 @@ class Bench:
         asked = self.predictor.asked
         if key not in self._first:
             self.predictor.asked = set()
-            options = plan.moves(self.scene)
+            options = tuple(m for m in moves(self.scene) if plan.grasps is None or m.grasp in plan.grasps)
             about = plan.criterion, plan.look_ahead, plan.samples, trial.noise, 0, trial.felt
             chooser = Chooser(self.scene, HypothesisPredictor(self.predictor, self.fine), options, *about)
             self._first[key] = (

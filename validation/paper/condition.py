@@ -7,11 +7,11 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 from bcid.base.errors import InputError
+from bcid.base.options import STOPS as RULES
 from bcid.base.units import quantity
 from bcid.measurement import Action
 from bcid.scene import Level, Scene
 from bcid.scene.motions import MOTIONS, motion
-from bcid.search.stages import RULES
 
 SEARCHES = ("stages", "single", "identify")
 SEEN = ("positions", "images")
@@ -29,7 +29,7 @@ class Condition:
             `bcid.search.hill_climbing`); "identify" is what `bcid identify` does.
         seeds: random sets that Algorithm 1 starts from.
         finest: last level of the scene that the search may use.
-        stop, tolerance: when the stages end, see `bcid.search.stages.Stop`.
+        stop, tolerance: when the stages end, see `bcid.base.options.Stop`.
         compared: level on which all sets are compared, to tell what the data say.
         true_degree, true_size: elements in which the truth is computed; 0 for those of the scene's last level.
         noise: standard deviation of the noise on each coordinate.

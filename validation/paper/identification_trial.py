@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import SolveError
+from bcid.base.options import LAST, StageOptions, Stop
 from bcid.measurement import Measurement
 from bcid.search.hill_climbing import Candidate, random_seeds, rank
-from bcid.search.stages import LAST, SearchStage, StageOptions, Stop, in_stages
+from bcid.search.stages import SearchStage, in_stages
 from validation.paper.condition import Condition
 from validation.paper.precompute import Store
 from validation.paper.trial_errors import seen_positions
@@ -142,8 +143,8 @@ def _why(
 
 def identified(store: Store, condition: Condition, number: int, measurement: Measurement) -> dict[str, Any]:
     """What `bcid identify` finds, with its own calls of the model; certified, so that it is the best of all sets."""
+    from bcid.base.options import IdentifyOptions
     from bcid.search.identify import identify
-    from bcid.search.identify_options import IdentifyOptions
 
     scene = store.read()
     began = time.process_time()

@@ -40,7 +40,7 @@ def prepared(folder: Path) -> list[str]:
     """A scene and a measurement of a heavy body, in a folder; the words of their explanation, but for its output."""
     scene, seen = str(small_scene(folder)), str(folder / "seen")
     words = [sys.executable, "-m", "bcid", "simulate", scene, "--anchors", "3,4", "--motion", "pull", "--level", "1"]
-    words += ["--hide", "gravity: weight = 3 kN/m^3", "--noise", "0.1 mm", "--quiet", "-o", seen]
+    words += ["--true-effect", "gravity: weight = 3 kN/m^3", "--noise", "0.1 mm", "--quiet", "-o", seen]
     subprocess.run(words, check=True, capture_output=True)
     return ["explain", scene, seen, "--only", "gravity,fibres", "--no-picture", "--no-propose", "-o"]
 

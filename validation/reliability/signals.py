@@ -27,7 +27,7 @@ def prepared(folder: Path) -> list[str]:
     scene = small_scene(folder)
     words = [sys.executable, "-m", "bcid", "simulate", str(scene), "--anchors", "3,4", "--motion", "complex"]
     subprocess.run([*words, "--level", "1", "--quiet", "-o", str(folder / "seen")], check=True, capture_output=True)
-    words = [sys.executable, "-m", "bcid", "identify", str(scene), str(folder / "seen"), "--certify", "yes"]
+    words = [sys.executable, "-m", "bcid", "identify", str(scene), str(folder / "seen"), "--exhaustive", "yes"]
     return [*words, "--quiet", "--no-picture", "-o"]
 
 

@@ -56,7 +56,7 @@ def full(ranks: Sequence[int] = (1, 2), only: Sequence[tuple[str, str, int]] = C
         place.mkdir()
         motion = ("--anchors", "3,4", "--motion", "pull", "--level", "1", "--quiet")
         assert command("simulate", scene, *motion, "-o", seen)[0] == 0
-        words = ["identify", str(scene), str(seen), "--level", "0", "--certify", "yes", "--quiet", "--no-picture"]
+        words = ["identify", str(scene), str(seen), "--level", "0", "--exhaustive", "yes", "--quiet", "--no-picture"]
         starts = [([sys.executable, "-m", "bcid"], 1), ([sys.executable, "-c", _LATER], 1)]
         starts += [(["mpirun", "-n", str(number), sys.executable, "-m", "bcid"], number) for number in ranks[1:]]
         for size, state, code in only:

@@ -55,7 +55,7 @@ def solving(folder: Path) -> tuple[Writer, Writer]:
         folder / "seen",
         "--level",
         "0",
-        "--certify",
+        "--exhaustive",
         "yes",
         "--quiet",
         "--no-picture",

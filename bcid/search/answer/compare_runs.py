@@ -10,6 +10,7 @@ from typing import Any
 
 from bcid.base.collective import Comm, on_root
 from bcid.base.errors import InputError
+from bcid.base.options import ExplainOptions
 from bcid.base.progress import Progress
 from bcid.base.run_folder import RunFolder, running
 from bcid.predict.predictor import Predictor
@@ -18,7 +19,6 @@ from bcid.search.answer.diagnosis import Diagnosis, check_terms, compared, diagn
 from bcid.search.answer.output import collect, documents
 from bcid.search.answer.source import Source, find_effect, from_files, from_run
 from bcid.search.answer.written_term import parsed_term
-from bcid.search.explain import ExplainOptions
 
 MAKES = (
     *("diagnosis.json", "model.json", "identification.json", "residuals.nc", "body.nc", "where.json", "summary.txt"),

@@ -12,6 +12,7 @@ import numpy as np
 
 from bcid.base.collective import Comm
 from bcid.base.errors import InputError, SolveError, evaluating, nearest
+from bcid.base.options import ExplainOptions
 from bcid.base.progress import Progress, Silent
 from bcid.base.units import WIDE
 from bcid.forms import effects
@@ -31,7 +32,7 @@ from bcid.search.answer.separate import Pull, separating_pulls
 from bcid.search.answer.source import Source
 from bcid.search.answer.surface_rounds import settled
 from bcid.search.answer.where import MissingForce, missing_force
-from bcid.search.explain import ExplainOptions, explain
+from bcid.search.explain import explain
 from bcid.search.fitting.buckled_frames import leave_out
 from bcid.search.fitting.curvature import bent
 from bcid.search.fitting.fit import Fit, fit

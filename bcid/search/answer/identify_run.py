@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 
 from bcid.base.collective import Comm, on_root
+from bcid.base.options import IdentifyOptions
 from bcid.base.progress import Progress, Silent
 from bcid.base.run_folder import RunFolder, running
 from bcid.base.units import percent, unit_factor
@@ -37,7 +38,6 @@ from bcid.search.answer.association import MARK
 from bcid.search.answer.identification import Identification
 from bcid.search.answer.refine import Refinement, check_rounds, identify_refined
 from bcid.search.answer.surface_rounds import settled
-from bcid.search.identify_options import IdentifyOptions
 
 MAKES = ("identification.json", "prediction.nc", "body.nc", "summary.txt", "picture.png", "paraview/", f"{CHECKPOINT}/")
 
@@ -173,7 +173,7 @@ def _write(
     run.write_documents(found)
     result = found["identification.json"]
     stages = run.record["inputs"]["options"]["stages"] or {}
-    run.record |= {"names": names, "ranks": ranks, "random_state": stages.get("random_state")}
+    run.record |= {"names": names, "ranks": ranks, "seed": stages.get("seed")}
     run.record |= {
         "evaluations": result["evaluations"],
         "search_seconds": round(done.seconds, 3),

@@ -11,6 +11,7 @@ from typing import Any
 
 from bcid.base.collective import Comm
 from bcid.base.errors import InputError
+from bcid.base.options import IdentifyOptions
 from bcid.base.progress import Progress, Silent
 from bcid.forms.mesh.patches import divided, element_size, extents, half_names, halves, replaced, touching
 from bcid.forms.model import Model
@@ -23,7 +24,6 @@ from bcid.predict.store import PredictionStore
 from bcid.scene import Region, Scene
 from bcid.search.answer.identification import Identification
 from bcid.search.identify import identify
-from bcid.search.identify_options import IdentifyOptions
 from bcid.search.settings import SETTINGS
 
 # No patch is divided further when there are so many: every step of a climb looks at all of them.
@@ -209,7 +209,7 @@ class _Rounds:
         self.tree, self.options, self.progress = tree, options, progress
         self.search, self.values = search, values
         # Not every set of so many halves can be followed.
-        self.of_halves = replace(options, certify="auto") if options.certify == "yes" else options
+        self.of_halves = replace(options, exhaustive="auto") if options.exhaustive == "yes" else options
         self.refined: Cuts = {}
         self.scene = tree.base
         # How deep each patch was cut in vain.

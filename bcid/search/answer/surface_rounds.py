@@ -13,6 +13,7 @@ from typing import TypeVar
 
 from bcid.base.collective import Comm
 from bcid.base.errors import SolveError
+from bcid.base.options import LAST, StageOptions, Stop
 from bcid.base.progress import Progress
 from bcid.forms.mesh.patches import first_level
 from bcid.forms.model import Model
@@ -21,7 +22,7 @@ from bcid.measurement import Measurement
 from bcid.scene import Scene
 from bcid.search.answer.association import Association
 from bcid.search.set_misfits import MeasuredMisfits
-from bcid.search.stages import LAST, StageOptions, Stop, in_stages
+from bcid.search.stages import in_stages
 
 T = TypeVar("T")
 Hypothesis = tuple[Scene, Model, frozenset[str]]

@@ -1,4 +1,4 @@
-"""Options that commands have in common."""
+"""Flags that several commands have, and what their values are read as."""
 
 from __future__ import annotations
 
@@ -7,14 +7,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from bcid.base.errors import InputError, shortened
-
-
-def seed(text: str) -> int:
-    """A seed: a run keeps it as a number of 64 bits."""
-    if text.isascii() and text.isdigit() and len(text) < 20 and int(text) < 2**63:
-        return int(text)
-    raise argparse.ArgumentTypeError(f"'{shortened(text, 60)}': expected a whole number from 0 to 2^63 - 1")
+from bcid.app.flags import add_flags, names_in
+from bcid.base.errors import InputError
+from bcid.base.options import ExplainOptions
 
 
 def add_command(
@@ -61,19 +56,9 @@ def add_source(parser: argparse.ArgumentParser) -> None:
     """A run to start from, and what all jobs on one have in common."""
     parser.add_argument("run_folder", type=Path, metavar="RUN", help="run folder of identify, diagnose, fit or explain")
     add_store(parser)
-    add_level(parser)
+    add_flags(parser, ExplainOptions, ("level",))
     add_effect_files(parser)
     add_output(parser)
-
-
-def add_level(parser: argparse._ActionsContainer) -> None:
-    """The mesh level."""
-    parser.add_argument(
-        "--level",
-        type=int,
-        metavar="LEVEL",
-        help="level of the ladder that both meshes go by (the last with at most 40,000 unknowns)",
-    )
 
 
 def add_store(parser: argparse.ArgumentParser) -> None:
@@ -86,11 +71,6 @@ def add_store(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_only(parser: argparse.ArgumentParser) -> None:
-    """The effects to look at."""
-    parser.add_argument("--only", metavar="a,b", help="look at these effects only")
-
-
 def add_effect_files(parser: argparse.ArgumentParser) -> None:
     """Files with effects of one's own."""
     parser.add_argument(
@@ -101,20 +81,6 @@ def add_effect_files(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="Python file with an effect of your own (docs/effects.md); it is run. May be given several times",
     )
-
-
-def names_in(text: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in text.split(",") if name.strip())
-
-
-def listed(text: str | None) -> tuple[str, ...] | None:
-    """Names of effects separated by commas; None where the option is not given."""
-    if text is None:
-        return None
-    names = names_in(text)
-    if not names:
-        raise InputError(f"--only '{text}': names no effect; give some, as --only gravity,soft_anchor")
-    return names
 
 
 def all_names(given: Sequence[str]) -> list[str]:
@@ -153,9 +119,3 @@ def direction_in(text: str | None) -> tuple[float, ...] | None:
         return tuple(float(number) for number in text.replace(",", " ").split())
     except ValueError:
         raise InputError(f"--direction '{text}': expected three numbers, as 0,0,1") from None
-
-
-def random_state_in(number: int) -> int:
-    if number < 0:
-        raise InputError(f"--random-state {number}: must be at least 0")
-    return number
