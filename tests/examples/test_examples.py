@@ -327,7 +327,7 @@ def test_every_example_has_a_test() -> None:
 def test_the_lab_measurements_are_identified(name: str, anchored: str) -> None:
     """Made by an independent code; of the three others one is the notebook's, one the benchmark's.
 
-    Without the certificate, and with 12 mm for the finest mesh instead of 7.2 and 3.6: `validation/accuracy/lab.py` has all.
+    Without the certificate, and with 12 mm for the finest mesh instead of 7.2 and 3.6.
     """
     from bcid import Measurement, Scene, identify
     from bcid.scene import Level
