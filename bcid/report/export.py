@@ -81,10 +81,15 @@ def write_figures(
         (target if target.is_dir() else target.parent).mkdir(parents=True, exist_ok=True)
         # On the same disk, so that files are moved there whole.
         beside = target if target.is_dir() else target.parent
-        with tempfile.TemporaryDirectory(prefix=".figures-", dir=beside) as aside:
+        with tempfile.TemporaryDirectory(prefix=".figures-", dir=beside, ignore_cleanup_errors=True) as aside:
+            made = Path(aside) / "all"
             for name, content in files.items():
-                _beneath(Path(aside), name).write_bytes(content)
-            return [(Path(aside) / name).replace(_beneath(target, name)) for name in sorted(files)]
+                _beneath(made, name).write_bytes(content)
+            if not target.exists():
+                # A folder that is not there yet comes whole or not at all.
+                made.rename(target)
+                return [target / name for name in sorted(files)]
+            return [(made / name).replace(_beneath(target, name)) for name in sorted(files)]
 
 
 def _whole(folder: Path) -> Found:
