@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from bcid.base.errors import InputError
-from bcid.measurement.formats.foreign import How
-from bcid.measurement.formats.literal_pickle import literal
+from bcid.measurement.formats.foreign import Foreign, How
 from bcid.measurement.formats.pose_estimation import read_dlc_hdf5
 from validation.reliability import foreign_files as made
 
@@ -53,12 +52,10 @@ def test_a_block_of_objects_is_refused_and_not_unpickled(tmp_path: Path) -> None
 
 @pytest.mark.parametrize("name", ["info", "values_block_0_kind"])
 def test_labels_that_are_a_program_are_refused_and_not_unpickled(tmp_path: Path, name: str) -> None:
-    path = _genuine(tmp_path, "table")
-    with h5py.File(path, "r+") as file:
-        group = file["df_with_missing"]
-        (group if name == "info" else group["table"]).attrs[name] = np.bytes_(pickle.dumps(_Ends(), 0))
-    with pytest.raises(InputError, match=r"holds a Python object \(global\), which is not made; export it as CSV"):
-        read_dlc_hdf5(path, How())
+    with pytest.raises(
+        InputError, match=r"holds a Python object \(__builtin__.exec\), which is not made; export it as CSV"
+    ):
+        _read_with_labels(tmp_path, name, pickle.dumps(_Ends(), 2))
 
 
 def test_levels_that_are_objects_are_refused_and_not_unpickled(tmp_path: Path) -> None:
@@ -73,19 +70,26 @@ def test_levels_that_are_objects_are_refused_and_not_unpickled(tmp_path: Path) -
         read_dlc_hdf5(path, How())
 
 
-@pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
-def test_literal_of_any_protocol_is_what_was_pickled(protocol: int) -> None:
-    value = {1: {"names": ["scorer", "bodyparts"], "none": None}, "labels": [("DLC", "é", 3), (), (1,), (1, 2)]}
-    assert literal(pickle.dumps(value, protocol)) == value
+@pytest.mark.parametrize(
+    "pickled", [b"(", b"t.", b"g9\n.", b"I1\nI2\n.", b"(I1\nd.", b"\x80\x7f.", b"a.", b"P1\n.", b"\x80\x02\x82\x01."]
+)
+def test_labels_that_are_damaged_or_made_elsewhere_are_refused(tmp_path: Path, pickled: bytes) -> None:
+    with pytest.raises(InputError, match=r"is damaged; export it as CSV|not laid out as pandas does it"):
+        _read_with_labels(tmp_path, "info", pickled)
 
 
-@pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
-def test_literal_of_an_object_is_refused(protocol: int) -> None:
-    with pytest.raises(ValueError, match="which is not made"):
-        literal(pickle.dumps([_Ends()], protocol))
+@pytest.mark.parametrize("protocol", [0, pickle.HIGHEST_PROTOCOL])
+def test_labels_of_any_protocol_are_read(tmp_path: Path, protocol: int) -> None:
+    with h5py.File(_genuine(tmp_path, "table")) as file:
+        labels = pickle.loads(bytes(file["df_with_missing/table"].attrs["values_block_0_kind"]))
+    read = _read_with_labels(tmp_path, "values_block_0_kind", pickle.dumps(labels, protocol))
+    assert list(read.points) == list(made.LABELS)
 
 
-@pytest.mark.parametrize("pickled", [b"", b"(", b"t.", b"g9\n.", b"I1\nI2\n.", b"(I1\nd.", b"\x80\x7f.", b"a."])
-def test_literal_that_is_damaged_is_refused(pickled: bytes) -> None:
-    with pytest.raises(ValueError):
-        literal(pickled)
+def _read_with_labels(folder: Path, name: str, pickled: bytes) -> Foreign:
+    """What is read of a genuine table whose attribute with labels is another pickle."""
+    path = _genuine(folder, "table")
+    with h5py.File(path, "r+") as file:
+        group = file["df_with_missing"]
+        (group if name == "info" else group["table"]).attrs[name] = np.void(pickled)
+    return read_dlc_hdf5(path, How())

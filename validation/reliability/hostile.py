@@ -45,11 +45,11 @@ _SYSTEM = ("/usr", "/lib", "/lib64", "/bin", "/sbin", "/etc", "/proc", "/sys", "
 # What a child of bcid begins with, after the interpreter.
 _CHILDREN = tuple(
     ("-P", "-m", f"bcid.{name}")
-    for name in ("forms.mesh.child", "measurement.c3d", "vision.calibrations.opencv_storage", "vision.decoder")
+    for name in ("forms.mesh.child", "vision.calibrations.opencv_storage", "vision.decoder")
 )
 _CHILDREN += tuple(
     ("-P", "-m", f"bcid.measurement.formats.{name}")
-    for name in ("mat_file", "hdf5_file", "npz_file", "pandas_table", "cloud_file", "ros_bag")
+    for name in ("array_tree", "capture_c3d", "pandas_table", "cloud_file", "ros_bag")
 )
 # Asked by ctypes where a library is, before a child has given up its rights.
 _FINDERS = ("/sbin/ldconfig", "/usr/sbin/ldconfig")

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import InputError, nearest
-from bcid.measurement.formats.foreign import Foreign, How
-from bcid.measurement.formats.in_child import fetched
+from bcid.measurement.formats.foreign import Foreign, How, fetched
 
 Array = NDArray[np.float64]
 
@@ -50,11 +49,10 @@ def look(path: Path, wanted: list[str]) -> ArrayFile:
     """
     with path.open("rb") as stream:
         head = stream.read(128)
-    old = head.startswith(b"MATLAB 5.0") or not (head.startswith(b"MATLAB") or head[1:4] == b"HDF")
-    name, what = "mat_file" if old else "hdf5_file", "HDF5 file" if head[1:4] == b"HDF" else "MAT file"
-    if head.startswith(b"PK"):
-        name, what = "npz_file", "NPZ file"
-    data = fetched(f"bcid.measurement.formats.{name}", path, what, [one.strip("/") for one in wanted])
+    matlab, old = head.startswith(b"MATLAB"), head.startswith(b"MATLAB 5.0")
+    kind = "HDF5" if head[1:4] == b"HDF" or (matlab and not old) else "NPZ" if head.startswith(b"PK") else "MAT"
+    what = "MAT file" if matlab else f"{kind} file"
+    data = fetched("bcid.measurement.formats.array_tree", path, what, [kind, *(one.strip("/") for one in wanted)])
     paths = [str(one) for one in data["paths"]]
     kinds = [str(one).split() for one in data["shapes"]]
     shapes = {

@@ -1,17 +1,24 @@
-"""What a foreign file holds, whatever its format, and what a mapping says of how to read it."""
+"""What a foreign file holds, whatever its format; what a mapping says of how to read it; and its reader in a process of its own."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping as Table
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.base.confined import read_in_child
+from bcid.base.errors import InputError
+
 Array = NDArray[np.float64]
 # The quality of a point of image or volume correlation: 1 is best, 0 that it was not correlated.
 CORRELATION = "correlation"
+# Time of a reader, s, and how much more a byte of the file may take.
+_SECONDS, _SECONDS_PER_BYTE = 30.0, 1e-6
 
 
 @dataclass(frozen=True)
@@ -99,3 +106,23 @@ class How:
     def count(self, frames: int) -> Array:
         """Times of the frames of a file that has none, s, shape (frames,)."""
         return np.asarray(np.arange(frames) * (self.time if self.rate is None else 1.0 / self.rate))
+
+
+def fetched(
+    module: str, path: Path, what: str, arguments: Sequence[str] = (), *, in_place: bool = False
+) -> dict[str, Any]:
+    """Arrays by name that a reader makes of a file; see `bcid.base.confined.read_in_child`.
+
+    Raises:
+        InputError: the file is no readable `what`.
+    """
+    limit = _SECONDS + _SECONDS_PER_BYTE * path.stat().st_size
+    try:
+        return read_in_child(module, path, arguments, seconds=limit, in_place=in_place)
+    except (InputError, TimeoutError) as error:
+        raise InputError(f"{path}: is not a readable {what}: {error}; is it whole? Export or copy it again") from None
+
+
+def needed(package: str) -> InputError:
+    """That a package is missing, as the reader in the child says it."""
+    return InputError(f"reading it needs the package {package}; install bcid[mocap]")

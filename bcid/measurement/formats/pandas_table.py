@@ -1,11 +1,13 @@
 """Tables that pandas wrote to HDF5, read by h5py: ``python -m bcid.measurement.formats.pandas_table FILE OUT.npz``.
 
 pandas and PyTables would unpickle what a file holds as Python objects, which can run anything. Read are the layouts that DeepLabCut
-writes: "table" (a compound array; labels as literals) and "fixed" (blocks of numbers; labels as byte strings with codes).
+writes: "table" (a compound array; labels as pickled literals) and "fixed" (blocks of numbers; labels as byte strings with codes).
 """
 
 from __future__ import annotations
 
+import io
+import pickle
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,10 +19,11 @@ from numpy.typing import NDArray
 from bcid.base.confined import serve
 from bcid.base.errors import InputError
 from bcid.base.own_storage import refuse_outside
-from bcid.measurement.formats.in_child import needed
-from bcid.measurement.formats.literal_pickle import literal
+from bcid.measurement.formats.foreign import needed
 
 Array = NDArray[np.float64]
+# Bytes of a list of names at most.
+_LONGEST = 1_000_000
 _CSV = "export it as CSV (deeplabcut.analyze_videos_converth5_to_csv, or to_csv of pandas)"
 
 
@@ -115,11 +118,22 @@ def _matching(labels: list[tuple[str, ...]], levels: list[str], numbers: Array) 
         raise InputError(f"its {numbers.shape[-1]} columns have {len(labels)} labels, or not one for each of {levels}")
 
 
+class _Literals(pickle.Unpickler):
+    """Makes literals alone: all other objects of a pickle have a name (Python library reference, "Restricting Globals")."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        raise InputError(f"holds a Python object ({f'{module}.{name}'[:60]}), which is not made")
+
+
 def _literal(pickled: Any) -> Any:
+    if len(pickled) > _LONGEST:
+        raise InputError(f"a list of its names is longer than labels are; {_CSV}")
     try:
-        return literal(bytes(pickled))
-    except ValueError as error:
-        raise InputError(f"a list of its names {error}; {_CSV}") from None
+        return _Literals(io.BytesIO(bytes(pickled))).load()
+    except Exception as error:
+        # Whatever a damaged pickle lets the interpreter raise.
+        reason = str(error) if isinstance(error, InputError) else "is damaged"
+        raise InputError(f"a list of its names {reason}; {_CSV}") from None
 
 
 def _text(value: Any) -> str:

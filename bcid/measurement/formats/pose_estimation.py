@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import InputError
-from bcid.measurement.formats.foreign import Foreign, How
+from bcid.measurement.formats.foreign import Foreign, How, fetched
 from bcid.measurement.formats.grid import Row, filled, need, numbers, read_grid, whole
-from bcid.measurement.formats.in_child import fetched
 
 Array = NDArray[np.float64]
 

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from bcid.base.confined import serve
 from bcid.base.errors import InputError
-from bcid.measurement.formats.foreign import Foreign, How
+from bcid.measurement.formats.foreign import Foreign, How, fetched, needed
 from bcid.measurement.formats.grid import whole
-from bcid.measurement.formats.in_child import fetched, needed
 
 Array = NDArray[np.float64]
 # Label, kind ("point", "pose", "wrench") and numbers of what a message holds.
