@@ -22,14 +22,17 @@ QUATERNION = ["qw", "qx", "qy", "qz"]
 SIGMAS = ("noise_sigma", "wrench_sigma", "torque_sigma")
 
 Array = NDArray[np.float64]
+# A standard deviation, or that of each axis.
+Sigma = float | tuple[float | None, ...] | None
 
 
-def with_sigmas(data: xr.Dataset, axes: Sequence[float]) -> xr.Dataset:
-    """The same with a standard deviation of each axis, m, for coordinates of which none is stated one by one."""
+def with_noise(data: xr.Dataset, noise: Sigma) -> tuple[xr.Dataset, float | None]:
+    """A dataset and the standard deviation that all axes have; those of single axes, m, are put where none is stated one by one."""
+    if not isinstance(noise, tuple):
+        return data, noise
     own = data["sigma"].values if "sigma" in data else np.full(data["position"].shape, np.nan)
-    return data.assign(
-        sigma=(("frame", "fiducial", "axis"), np.where(np.isnan(own), np.asarray(axes, dtype=float), own))
-    )
+    filled = np.where(np.isnan(own), np.array(noise, dtype=float), own)
+    return data.assign(sigma=(("frame", "fiducial", "axis"), filled)), None
 
 
 def sigma_units(length: float, force: float) -> tuple[float, float, float]:

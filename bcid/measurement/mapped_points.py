@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from bcid.base.errors import InputError, Problems, nearest
 from bcid.measurement.formats import array_file, dic_export
 from bcid.measurement.formats.foreign import Foreign, How
-from bcid.measurement.labelled_keys import BOUNDS
-from bcid.measurement.mapping import Mapping
-from bcid.measurement.tracks import Tracks
+from bcid.measurement.mapped_table import Tracks
+from bcid.measurement.mapping import BOUNDS, Mapping
 
 Array = NDArray[np.float64]
 # Of the largest displacement (RMS), that of a frame in which the body is not at rest.

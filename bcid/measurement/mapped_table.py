@@ -2,18 +2,150 @@
 
 from __future__ import annotations
 
-from typing import Any
+import itertools
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.base.errors import Problems, nearest
-from bcid.measurement.csv_rows import Row, csv_rows, numbers, require
+from bcid.base.errors import InputError, Problems, nearest
 from bcid.measurement.formats.array_file import table_rows
+from bcid.measurement.formats.grid import filled, read_grid
 from bcid.measurement.mapping import COLUMNS, Mapping
-from bcid.measurement.tracks import Tracks
 
 Array = NDArray[np.float64]
+# Number of the line, for messages, and cells by column.
+Row = tuple[int, dict[str, str]]
+_MOVED = ("translation", "rotation", "pose", "wrench")
+
+
+@dataclass
+class Tracks:
+    """What was read, in the file's units: one entry per frame; and by what the rigid motion of [align] misses its markers, m."""
+
+    actions: list[str]
+    steps: list[int]
+    times: list[float]
+    positions: dict[str, Array]
+    translation: Array | None = None
+    rotation: Array | None = None
+    pose: Array | None = None
+    wrench: Array | None = None
+    grasps: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+    aligned: float | None = None
+
+    def take(self, chosen: list[int], steps: list[int]) -> None:
+        """Keep some of the frames, and number them so."""
+        self.actions, self.steps = [self.actions[i] for i in chosen], steps
+        self.times = [self.times[i] for i in chosen]
+        self.positions = {name: values[chosen] for name, values in self.positions.items()}
+        self.grasps = [self.grasps[i] for i in chosen] if self.grasps else []
+        for part in _MOVED:
+            values = getattr(self, part)
+            setattr(self, part, None if values is None else values[chosen])
+
+    def select(self, frames: tuple[int, int | None, int, int | None], source: Path) -> None:
+        """Keep the frame of rest and every so many frames of each action, and number them from 0.
+
+        Raises:
+            InputError: the steps of an action do not rise.
+        """
+        first, last, every, rest = frames
+        chosen: list[int] = []
+        steps: list[int] = []
+        places: dict[str, list[int]] = {}
+        for i, action in enumerate(self.actions):
+            places.setdefault(action, []).append(i)
+        for action, mine in places.items():
+            if any(self.steps[b] <= self.steps[a] for a, b in itertools.pairwise(mine)):
+                raise InputError(
+                    f"{source}: the steps of action {action} do not rise: sort the rows, one for each step"
+                )
+            kept = mine[first : None if last is None else last + 1 : every]
+            if rest is not None and kept and rest != first:
+                kept = [mine[rest], *kept]
+            chosen += kept
+            steps += range(len(kept))
+        self.take(chosen, steps)
+
+
+class Rows:
+    """The rows of a table under its header line; what is wrong with their cells is noted among the problems.
+
+    Args:
+        file: for messages.
+        rows: not empty.
+        decimal: the sign in its numbers.
+    """
+
+    def __init__(self, file: Path, rows: list[Row], decimal: str = ".") -> None:
+        self.file, self.rows, self.decimal = file, rows, decimal
+        self.problems = Problems(f"recording {file}")
+
+    @classmethod
+    def read(cls, file: Path, delimiter: str, decimal: str) -> Rows:
+        """The rows of a file that are not empty.
+
+        Raises:
+            InputError: it holds none, or rows of another length than its header.
+        """
+        problems, found = Problems(f"recording {file}"), list[Row]()
+        (_, header), *rows = read_grid(file, delimiter) or [(0, [])]
+        for line, cells in filled(rows):
+            if len(cells) != len(header):
+                problems.add(file, f"has {len(cells)} values, the header names {len(header)} columns", line)
+            else:
+                found.append((line, dict(zip(header, cells, strict=True))))
+        if not found:
+            problems.add(file, "holds no rows; is the delimiter right?")
+        problems.raise_if_any()
+        return cls(file, found, decimal)
+
+    def require(self, columns: Iterable[str]) -> None:
+        """Refuse columns that a file does not have; those without a name were not measured.
+
+        Raises:
+            InputError: with these, and the problems before.
+        """
+        known = self.rows[0][1]
+        for column in dict.fromkeys(columns):
+            if column and column not in known:
+                self.problems.add(self.file, f"has no column '{column}'; {nearest(column, known)}", 1)
+        self.problems.raise_if_any()
+
+    def texts(self, column: str) -> list[str]:
+        """The cells of a column."""
+        return [row[column] for _, row in self.rows]
+
+    def numbers(self, columns: Sequence[str], gaps: bool = False) -> Array:
+        """Numbers, shape (rows, columns); NaN of columns without a name, and of empty cells where gaps are allowed."""
+        values = np.full((len(self.rows), len(columns)), np.nan)
+        for i, (line, row) in enumerate(self.rows):
+            for j, column in enumerate(columns):
+                cell = row[column] if column else ""
+                if not column or (gaps and (not cell or cell.lower() == "nan")):
+                    continue
+                try:
+                    values[i, j] = float(cell.replace(self.decimal, "."))
+                except ValueError:
+                    values[i, j] = np.inf
+                if not math.isfinite(values[i, j]):
+                    self.problems.add(self.file, f"{column}: expected a finite number, found '{cell}'", line)
+                    values[i, j] = 0.0
+        return values
+
+    def steps(self, column: str) -> list[int]:
+        """Whole numbers."""
+        values = self.numbers([column])[:, 0]
+        for (line, _), value in zip(self.rows, values, strict=True):
+            if value < 0 or value != int(value):
+                self.problems.add(self.file, f"{column}: expected a whole number from 0, found {value:g}", line)
+        return [int(value) for value in values]
 
 
 def read_table(mapping: Mapping) -> Tracks:
@@ -22,129 +154,68 @@ def read_table(mapping: Mapping) -> Tracks:
     Raises:
         InputError: with every problem of the table.
     """
-    rows = _rows(mapping)
-    if "fiducial" in mapping.columns:
-        return _long(mapping, rows)
-    columns = mapping.columns
-    problems = Problems(f"recording {mapping.file}")
-    wanted = [c for marker in mapping.markers.values() for c in marker]
-    wanted += [c for key in COLUMNS if key in columns for c in _listed(columns[key])]
-    _require(mapping, rows, wanted, problems)
-    actions = (
-        [row[columns["action"]] for _, row in rows]
-        if "action" in columns
-        else [str(mapping.table.get("action", "1"))] * len(rows)
-    )
-    steps = _steps(mapping, rows, actions, problems)
-    times = (
-        _numbers(mapping, rows, [columns["time"]], problems)[:, 0]
-        if "time" in columns
-        else np.array(steps, dtype=float)
-    )
-    positions = {name: _numbers(mapping, rows, marker, problems, gaps=True) for name, marker in mapping.markers.items()}
-    moved = _gripper(mapping, rows, problems)
-    problems.raise_if_any()
-    grasps = [row[columns["grasp"]] for _, row in rows] if "grasp" in columns else []
-    return Tracks(actions, steps, list(times), positions, *moved, grasps)
-
-
-def _long(mapping: Mapping, rows: list[Row]) -> Tracks:
-    """One row per frame and fiducial."""
-    columns = mapping.columns
-    problems = Problems(f"recording {mapping.file}")
-    for key in ("position", "step"):
+    rows, columns = _rows(mapping), mapping.columns
+    long = "fiducial" in columns
+    for key in ("position", "step") if long else ():
         if key not in columns:
-            problems.add(mapping.path, f"columns.{key}: is needed when columns.fiducial is given")
-    problems.raise_if_any()
-    _require(mapping, rows, [c for key in COLUMNS if key in columns for c in _listed(columns[key])], problems)
-    action = str(mapping.table.get("action", "1"))
-    actions = [row[columns["action"]] if "action" in columns else action for _, row in rows]
-    steps = _steps(mapping, rows, actions, problems)
-    values = _numbers(mapping, rows, columns["position"], problems, gaps=True)
-    times = (
-        _numbers(mapping, rows, [columns["time"]], problems)[:, 0]
-        if "time" in columns
-        else np.array(steps, dtype=float)
-    )
-    moved = _gripper(mapping, rows, problems)
-    problems.raise_if_any()
-    frames = list(dict.fromkeys(zip(actions, steps, strict=True)))
-    first = {frame: i for i, frame in reversed(list(enumerate(zip(actions, steps, strict=True))))}
-    chosen = [first[frame] for frame in frames]
-    given = mapping.markers or {row[columns["fiducial"]]: row[columns["fiducial"]] for _, row in rows}
+            rows.problems.add(mapping.path, f"columns.{key}: is needed when columns.fiducial is given")
+    rows.problems.raise_if_any()
+    wanted = [] if long else [column for marker in mapping.markers.values() for column in marker]
+    named = [columns[key] for key in COLUMNS if key in columns]
+    rows.require([*wanted, *(c for one in named for c in ([one] if isinstance(one, str) else one))])
+    count = len(rows.rows)
+    actions = rows.texts(columns["action"]) if "action" in columns else [str(mapping.table.get("action", "1"))] * count
+    counted: dict[str, Iterator[int]] = defaultdict(itertools.count)
+    steps = rows.steps(columns["step"]) if "step" in columns else [next(counted[action]) for action in actions]
+    times = list(rows.numbers([columns["time"]])[:, 0]) if "time" in columns else [float(step) for step in steps]
+    given = {} if long else mapping.markers
+    positions = {name: rows.numbers(marker, gaps=True) for name, marker in given.items()}
+    values = rows.numbers(columns["position"], gaps=True) if long else None
+    moved = [rows.numbers(columns[key], gaps=key == "wrench") if key in columns else None for key in _MOVED]
+    grasps = rows.texts(columns["grasp"]) if "grasp" in columns else []
+    rows.problems.raise_if_any()
+    translation, rotation, pose, wrench = moved
+    tracks = Tracks(actions, steps, times, positions, translation, rotation, pose, wrench, grasps)
+    if values is not None:
+        _by_frame(mapping, rows, tracks, values)
+    return tracks
+
+
+def _by_frame(mapping: Mapping, rows: Rows, tracks: Tracks, values: Array) -> None:
+    """Give the tracks of a table with one row per frame and fiducial, at `values` (rows, 3), their frames and positions."""
+    labels, problems = rows.texts(mapping.columns["fiducial"]), rows.problems
+    given = mapping.markers or {label: label for label in labels}
     if not mapping.fiducials:
         mapping.fiducials = [name for name in given if name]
-    positions: dict[str, Array] = {name: np.full((len(frames), 3), np.nan) for name in given}
     names = {label: name for name, label in given.items()}
-    labels = dict.fromkeys(row[columns["fiducial"]] for _, row in rows)
+    known = dict.fromkeys(labels)
     for label, fiducial in names.items():
-        if label not in labels:
-            problems.add(mapping.file, f"has no marker '{label}' (fiducial {fiducial}); {nearest(label, labels)}")
+        if label not in known:
+            problems.add(mapping.file, f"has no marker '{label}' (fiducial {fiducial}); {nearest(label, known)}")
     problems.raise_if_any()
-    number = {frame: i for i, frame in enumerate(frames)}
+    frames = list(zip(tracks.actions, tracks.steps, strict=True))
+    number = {frame: i for i, frame in enumerate(dict.fromkeys(frames))}
+    positions: dict[str, Array] = {name: np.full((len(number), 3), np.nan) for name in given}
     seen: dict[tuple[str, int, str], int] = {}
-    for i, (line, row) in enumerate(rows):
-        label = row[columns["fiducial"]]
-        earlier = seen.setdefault((actions[i], steps[i], label), line)
+    for (line, _), frame, label, value in zip(rows.rows, frames, labels, values, strict=True):
+        earlier = seen.setdefault((*frame, label), line)
         if earlier < line:
-            what = f"a second row for marker {label}, step {steps[i]} of action {actions[i]}"
+            what = f"a second row for marker {label}, step {frame[1]} of action {frame[0]}"
             problems.add(mapping.file, f"{what}; the first is in line {earlier}", line)
         elif label in names:
-            positions[names[label]][number[actions[i], steps[i]]] = values[i]
+            positions[names[label]][number[frame]] = value
     problems.raise_if_any()
-    grasps = [rows[i][1][columns["grasp"]] for i in chosen] if "grasp" in columns else []
-    translation, rotation, pose, wrench = (None if values is None else values[chosen] for values in moved)
-    return Tracks(
-        [f[0] for f in frames],
-        [f[1] for f in frames],
-        list(times[chosen]),
-        positions,
-        translation,
-        rotation,
-        pose,
-        wrench,
-        grasps,
-    )
+    first = {frame: i for i, frame in reversed(list(enumerate(frames)))}
+    tracks.take([first[frame] for frame in number], [step for _, step in number])
+    tracks.positions = positions
 
 
-def _gripper(
-    mapping: Mapping, rows: list[Row], problems: Problems
-) -> tuple[Array | None, Array | None, Array | None, Array | None]:
-    """Translation, rotation, pose and wrench of the gripper, where columns are named for them; the wrench may have gaps."""
-
-    def read(key: str) -> Array | None:
-        columns = mapping.columns.get(key)
-        return None if columns is None else _numbers(mapping, rows, columns, problems, gaps=key == "wrench")
-
-    return read("translation"), read("rotation"), read("pose"), read("wrench")
-
-
-def _rows(mapping: Mapping) -> list[Row]:
-    if "table" in mapping.table:
-        names, cells = table_rows(mapping.file, str(mapping.table["table"]))
-        return [(i, dict(zip(names, row, strict=True))) for i, row in enumerate(cells, 1)]
-    return csv_rows(mapping.file, str(mapping.table.get("delimiter", ",")))
-
-
-def _listed(value: Any) -> list[str]:
-    return value if isinstance(value, list) else [str(value)]
-
-
-def _require(mapping: Mapping, rows: list[Row], columns: list[str], problems: Problems) -> None:
-    require(mapping.file, rows, columns, problems)
-
-
-def _numbers(mapping: Mapping, rows: list[Row], columns: list[str], problems: Problems, gaps: bool = False) -> Array:
-    return numbers(mapping.file, rows, columns, str(mapping.table.get("decimal", ".")), problems, gaps)
-
-
-def _steps(mapping: Mapping, rows: list[Row], actions: list[str], problems: Problems) -> list[int]:
-    if "step" not in mapping.columns:
-        count: dict[str, int] = {}
-        return [count.setdefault(a, 0) + (count.update({a: count[a] + 1}) or 0) for a in actions]
-    column = mapping.columns["step"]
-    values = _numbers(mapping, rows, [column], problems)[:, 0]
-    for (line, _), value in zip(rows, values, strict=True):
-        if value < 0 or value != int(value):
-            problems.add(mapping.file, f"{column}: expected a whole number from 0, found {value:g}", line)
-    return [int(value) for value in values]
+def _rows(mapping: Mapping) -> Rows:
+    decimal = str(mapping.table.get("decimal", "."))
+    if "table" not in mapping.table:
+        return Rows.read(mapping.file, str(mapping.table.get("delimiter", ",")), decimal)
+    names, cells = table_rows(mapping.file, where := str(mapping.table["table"]))
+    if not cells:
+        raise InputError(f"{mapping.file}: the table '{where}' holds no rows")
+    rows: list[Row] = [(i, dict(zip(names, row, strict=True))) for i, row in enumerate(cells, 1)]
+    return Rows(mapping.file, rows, decimal)

@@ -26,7 +26,7 @@ from bcid.measurement.folder_writer import write_folder
 from bcid.measurement.frame_error import FrameError
 from bcid.measurement.mapped import read_mapped
 from bcid.measurement.plausibility import examine
-from bcid.measurement.scale import SCALE_KEYS, check_scale, checked_scale
+from bcid.measurement.stated import SCALE_KEYS, Stated
 
 if TYPE_CHECKING:
     from bcid.scene import Scene
@@ -130,8 +130,7 @@ class Measurement(Contents):
             value = getattr(self, name)
             if value is not None and not measurable(value):
                 problems.add(self.source, f"{name}: expected a positive number from {LEAST_SIGMA:g}, found {value!r}")
-        sigma = checked_scale(Path(self.source), vars(self), problems)
-        checked = replace(checked, scale_sigma=sigma)
+        checked = replace(checked, scale_sigma=Stated(Path(self.source), problems).scale(vars(self)))
         if checked.cloud is None and not np.isfinite(checked.positions).any():
             problems.add(self.source, "holds no position: no fiducial was ever seen")
         for action in checked.action_names:
@@ -187,7 +186,7 @@ class Measurement(Contents):
         """
         self.check_names(scene)
         problems = Problems(f"measurement {self.source} does not fit scene {scene.source}")
-        check_scale(scene, self, problems)
+        _check_scale(scene, self, problems)
         markers = [name for name in self.fiducial_names if name not in set(scene.surface)]
         # Marks on a surface are where the points are: they cannot be misplaced, and follow no path of their own.
         odd = examine(scene, replace(self, data=self.data.sel(fiducial=markers)), problems) if markers else []
@@ -234,3 +233,39 @@ def _in_order(data: xr.Dataset, problems: Problems, source: str) -> xr.Dataset:
         problems.add(source, "expected at least one frame, three axes and four components of a quaternion")
         problems.raise_if_any()
     return data.transpose("frame", "fiducial", "axis", "quaternion", ...)
+
+
+def scaled(scene: Scene, measurement: Contents) -> Scene:
+    """A scene with what a measurement states of the length of a pixel, which is taken before what the scene does."""
+    known = scene.uncertainty
+    sigma = known.scale if measurement.scale_sigma is None else measurement.scale_sigma
+    too = known.scale_of_gripper or measurement.scale_of_gripper
+    return replace(scene, uncertainty=replace(known, scale=sigma, scale_of_gripper=too))
+
+
+def _check_scale(scene: Scene, measurement: Contents, problems: Problems) -> None:
+    """Note where scene and measurement contradict each other in what they say of the length of a pixel."""
+    known, source = scene.uncertainty, measurement.source
+    stated = measurement.scale_sigma
+    if stated is not None and known.scale == 0:
+        problems.add(
+            source,
+            f"scale_sigma is {stated:g}, but [uncertainty] of the scene says scale = 0: its lengths share no factor with pictures. "
+            "Leave scale out of the scene where they do; otherwise leave scale_sigma out, and state the scale of the "
+            "positions alone in frame.toml",
+        )
+    if measurement.scale_of_gripper and known.scale_of_gripper is False:
+        problems.add(
+            source,
+            "the gripper's path was measured in the pictures (scale_of_gripper), but [uncertainty] of the scene says "
+            "scale_of_gripper = false; leave one of them out",
+        )
+    error = measurement.frame_error
+    if error is not None and error.covariance[6, 6] > 0 and scaled(scene, measurement).uncertainty.scale:
+        problems.add(
+            source,
+            "the scale is stated twice: of the positions alone by the error of the frame (last element of its covariance, "
+            f"{error.covariance[6, 6]:.2g}), and of all lengths from pictures (scale of [uncertainty], or scale_sigma). Set the "
+            "last row and column of the covariance to 0 where body and fiducials were measured in the same pictures; otherwise "
+            "leave the other out",
+        )

@@ -133,7 +133,7 @@ def test_of_a_dense_cloud_points_are_taken_evenly(folder: Path) -> None:
         ('[surface]\ndepth = "{step}.png"\n', {}, "fx is needed for depth images"),
         ('[surface]\nclouds = "{step}.ply"\nunit = "kg"\n', {}, "unit"),
         ('[surface]\nclouds = "{step}.ply"\nbox = [[0, 0, 0], [0, 1, 1]]\n', {}, "two corners, the lower first"),
-        ('[surface]\nclouds = "{step}.ply"\ncloud = 1\n', {}, "unknown key 'cloud'"),
+        ('[surface]\nclouds = "{step}.ply"\ncloud = 1\n', {}, "surface.cloud: unknown key"),
         ("[surface]\nsigma = 1\n", {}, "expected clouds ="),
         ("surface = 3\n", {}, "expected a table"),
         ("", {}, "fiducials.csv.*is missing"),
