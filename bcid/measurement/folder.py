@@ -16,14 +16,15 @@ import xarray as xr
 from bcid.base.errors import InputError, Problems
 from bcid.base.text_file import read_lines, read_toml
 from bcid.base.units import LEAST_SIGMA, measurable
-from bcid.measurement.cloud import Cloud, Frame
 from bcid.measurement.contents import (
     AXES,
     FORMAT,
     QUATERNION,
     SIGMAS,
     WRENCH,
+    Cloud,
     Contents,
+    Frame,
     Sigma,
     Units,
     frames_dataset,

@@ -12,8 +12,7 @@ import numpy as np
 import xarray as xr
 
 from bcid.base.errors import InputError, unwritable
-from bcid.measurement.cloud import Cloud
-from bcid.measurement.contents import FORMAT, SIGMAS, WRENCH, Contents, sigma_units
+from bcid.measurement.contents import FORMAT, SIGMAS, WRENCH, Cloud, Contents, sigma_units
 from bcid.measurement.folder import SURFACE
 from bcid.scene.action import Action
 

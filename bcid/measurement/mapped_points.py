@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import InputError, Problems, nearest
-from bcid.measurement.formats import array_file, dic_export
 from bcid.measurement.formats.foreign import Foreign, How
 from bcid.measurement.mapped_table import Tracks
 from bcid.measurement.mapping import BOUNDS, Mapping
@@ -100,12 +99,8 @@ def read_foreign(mapping: Mapping) -> Foreign:
     table = mapping.table
     clock = next(iter(mapping.markers.values()), "")
     how = How(table["arrays"], mapping.columns, mapping.time, table.get("rate"), clock)
-    if mapping.format.series:
-        return dic_export.read_series(mapping.files, how)
-    if mapping.format.arrays:
-        return array_file.read_series(mapping.files, how)
     assert mapping.format.read is not None
-    return mapping.format.read(mapping.file, how)
+    return mapping.format.read(mapping.files, how)
 
 
 def _all(mapping: Mapping, seen: Foreign) -> None:

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from bcid.base.errors import InputError, Problems
 from bcid.base.fingerprint import fingerprint
 from bcid.base.units import LEAST_SIGMA, measurable, unit_factor, with_units
-from bcid.measurement.cloud import Cloud
-from bcid.measurement.contents import FORMAT, SIGMAS, Contents, Units
+from bcid.measurement.contents import FORMAT, SIGMAS, Cloud, Contents, Units
 from bcid.measurement.folder import read_folder
 from bcid.measurement.folder_writer import write_folder
 from bcid.measurement.frame_error import FrameError

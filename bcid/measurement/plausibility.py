@@ -19,8 +19,7 @@ from scipy.special import logsumexp
 from bcid.base.errors import Problems
 from bcid.base.units import show, unit_factor
 from bcid.measurement.gripper_motion import gripper_slips, whole_file
-from bcid.measurement.jumps import Jump, jumps
-from bcid.measurement.slips import FAULT, Slip, slips, suspects
+from bcid.measurement.slips import FAULT, Jump, Slip, jumps, slips, suspects
 
 if TYPE_CHECKING:
     from bcid.measurement.contents import Contents

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from bcid.base.confined import read_in_child
 from bcid.base.errors import InputError, Problems
 from bcid.base.units import unit_factor
-from bcid.measurement.cloud import Cloud, Frame
+from bcid.measurement.contents import Cloud, Frame
 from bcid.measurement.formats.cloud_file import CLOUDS, DEPTHS
 from bcid.measurement.stated import Stated, is_number
 from bcid.scene.rotation import as_rotation

@@ -13,8 +13,7 @@ from bcid import Measurement, Scene
 from bcid.base.errors import InputError
 from bcid.forms.simulate import recorded
 from bcid.measurement import Action
-from bcid.measurement.jumps import jumps
-from bcid.measurement.slips import permutations, rigid_motion
+from bcid.measurement.slips import jumps, permutations, rigid_motion
 from validation.reliability import slips
 
 ROOT = Path(__file__).resolve().parents[2]

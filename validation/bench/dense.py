@@ -24,7 +24,7 @@ import numpy as np
 
 import bcid
 from bcid import Measurement, Scene
-from bcid.measurement.pooling import pooled
+from bcid.measurement.compared import pooled
 from bcid.scene.motions import actions
 
 SCENE = Path(__file__).resolve().parents[1] / "examples/scenes/slab_explain.toml"

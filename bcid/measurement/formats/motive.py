@@ -24,11 +24,6 @@ _MARKERS = ("Marker", "Rigid Body Marker", "Bone Marker")
 _TYPES = {*_MARKERS, "Rigid Body", "Bone"}
 
 
-def recognised(head: str) -> bool:
-    """Whether text begins as an export of Motive does."""
-    return head.startswith("Format Version,")
-
-
 def read(path: Path, _how: How) -> Foreign:
     """The markers and rigid bodies of an export of Motive.
 

@@ -22,11 +22,6 @@ _QUALITY = {"likelihood": "score", "score": "score", "error": "error", "ncams": 
 _ANIPOSE = re.compile(r"(?P<label>.+)_(?P<what>x|y|z|error|ncams|score)")
 
 
-def recognised_dlc(head: str) -> bool:
-    """Whether text begins as a CSV file of DeepLabCut does."""
-    return head.startswith("scorer,")
-
-
 def recognised_anipose(head: str) -> bool:
     """Whether text begins as a 3-D file of Anipose does."""
     names = head.splitlines()[0].split(",") if head else []

@@ -21,11 +21,6 @@ Array = NDArray[np.float64]
 _BODY = 16
 
 
-def recognised(head: str) -> bool:
-    """Whether text begins as an export of Qualisys does."""
-    return head.startswith("NO_OF_FRAMES\t")
-
-
 def read(path: Path, _how: How) -> Foreign:
     """The markers, or the rigid bodies, of an export of Qualisys.
 

@@ -23,13 +23,8 @@ Array = NDArray[np.float64]
 # Label, kind ("point", "pose", "wrench") and numbers of what a message holds.
 _Said = Iterator[tuple[str, str, list[float]]]
 
-_BODY = "metadata.yaml"
+BODY = "metadata.yaml"
 _DELETED = (2, 3)
-
-
-def recognised_folder(path: Path) -> bool:
-    """Whether a folder is a bag of ROS 2."""
-    return (path / _BODY).is_file()
 
 
 def read(path: Path, how: How) -> Foreign:
@@ -42,7 +37,7 @@ def read(path: Path, how: How) -> Foreign:
     """
     folder = path.is_dir()
     module = "bcid.measurement.formats.ros_bag"
-    data = fetched(module, path / _BODY if folder else path, "ROS bag", in_place=folder)
+    data = fetched(module, path / BODY if folder else path, "ROS bag", in_place=folder)
     topics = [f"{topic}" for topic in data["topics"]]
     labels = [str(label) for label in data["labels"]]
     kinds = [str(kind) for kind in data["kinds"]]
@@ -86,7 +81,7 @@ def _streams(source: Path, _arguments: Sequence[str]) -> dict[str, Any]:
     except ImportError:
         raise needed("rosbags") from None
     streams: dict[tuple[str, str], list[tuple[float, list[float]]]] = {}
-    bag = source.parent if source.name == _BODY else source
+    bag = source.parent if source.name == BODY else source
     with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
         topics = {f"{c.topic} ({_short(c.msgtype)})": c for c in reader.connections}
         known = [c for c in reader.connections if _short(c.msgtype) in _READERS]

@@ -12,11 +12,6 @@ from bcid.measurement.formats.foreign import Foreign, How
 from bcid.measurement.formats.grid import distinct, filled, length_unit, need, number, numbers, read_grid, whole
 
 
-def recognised(head: str) -> bool:
-    """Whether text begins as a TRC file does."""
-    return head.startswith("PathFileType")
-
-
 def read(path: Path, _how: How) -> Foreign:
     """The markers of a TRC file.
 
