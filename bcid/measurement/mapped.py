@@ -195,8 +195,7 @@ def _relative(recording: Tracks, pose: Array, mapping: Mapping, turn: Array, shi
         raise InputError(f"{mapping.file}: columns.pose: expected x, y, z and a unit quaternion (w, x, y, z)")
     place = pose[:, :3] @ turn.T + shift
     angle = Rotation.from_matrix(turn) * Rotation.from_quat(pose[:, 3:], scalar_first=True)
-    start = {action: i for i, action in reversed(list(enumerate(recording.actions)))}
-    rest = np.array([start[action] for action in recording.actions])
+    rest = recording.rest
     moved = angle * angle[rest].inv()
     centre = np.array(mapping.table["grasp_centre"], dtype=float) if "grasp_centre" in mapping.table else place[rest]
     recording.translation = moved.apply(centre - place[rest]) + place - centre
@@ -222,17 +221,16 @@ def _follow(recording: Tracks, mapping: Mapping) -> None:
             f"{recording.steps[frame]} of action {recording.actions[frame]}; choose other frames by [frames]"
         )
     centre, misses = np.array(mapping.table["grasp_centre"], dtype=float), []
-    start = {action: i for i, action in reversed(list(enumerate(recording.actions)))}
     recording.translation, turns = np.zeros((len(seen), 3)), []
-    for i, action in enumerate(recording.actions):
-        both = np.flatnonzero(~(lost[i] | lost[start[action]]))
-        here, there = seen[start[action]][both], seen[i][both]
+    for i, rest in enumerate(recording.rest):
+        both = np.flatnonzero(~(lost[i] | lost[rest]))
+        here, there = seen[rest][both], seen[i][both]
         span = float(np.linalg.norm(np.ptp(here, axis=0))) if len(both) else 0.0
         if len(both) < _RIGID or np.linalg.svd(here - here.mean(axis=0), compute_uv=False)[1] < 1e-6 * span:
             raise InputError(
-                f"{mapping.file}: gripper: its markers stand on one line in action {action}; choose others"
+                f"{mapping.file}: gripper: its markers stand on one line in action {recording.actions[i]}; choose others"
             )
-        turn, shift = rigid_motion(here, there) if i > start[action] else (np.eye(3), np.zeros(3))
+        turn, shift = rigid_motion(here, there) if i > rest else (np.eye(3), np.zeros(3))
         recording.translation[i] = turn @ centre + shift - centre
         turns.append(turn)
         misses.append(_misfit(here, there) / span)
@@ -284,30 +282,25 @@ def take_grasps(recording: Tracks, path: Path, units: Units) -> None:
     Raises:
         InputError: the file is damaged, or has other actions or steps than the recording.
     """
-    actions = {action.name: action for action in read_grasps(path, units)}
+    actions = read_grasps(path, units)
     problems = Problems(f"motions {path}")
     frames = list(zip(recording.actions, recording.steps, strict=True))
-    for name, action in actions.items():
-        own = {step for other, step in frames if other == name}
+    for action in actions:
+        known, own = {int(step) for step in action.steps}, {step for other, step in frames if other == action.name}
         if not own:
-            problems.add(
-                path, f"action '{name}' is not in the recording; {nearest(name, dict.fromkeys(recording.actions))}"
-            )
+            hint = nearest(action.name, dict.fromkeys(recording.actions))
+            problems.add(path, f"action '{action.name}' is not in the recording; {hint}")
             continue
-        known = {int(step) for step in action.steps}
-        missing, more = own - known, known - own
-        for steps, said in (
-            (missing, "no pose for step {}"),
-            (more, "a pose for step {}, which the recording has not"),
-        ):
+        missing, more = "no pose for step {}", "a pose for step {}, which the recording has not"
+        for steps, said in ((own - known, missing), (known - own, more)):
             if steps:
                 few = ", ".join(map(str, sorted(steps)[:5])) + (", ..." if len(steps) > 5 else "")
-                text = f"action {name}: holds {said.format(few)}; steps count the frames that are used, from rest, which is 0"
-                problems.add(path, text)
+                rule = "steps count the frames that are used, from rest, which is 0"
+                problems.add(path, f"action {action.name}: holds {said.format(few)}; {rule}")
     problems.raise_if_any()
     poses = {
-        (name, int(step)): (action.grasp, *pose)
-        for name, action in actions.items()
+        (action.name, int(step)): (action.grasp, *pose)
+        for action in actions
         for step, *pose in zip(action.steps, action.translation, action.rotation, strict=True)
     }
     still = "", np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])

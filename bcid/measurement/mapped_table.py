@@ -39,6 +39,12 @@ class Tracks:
     remarks: list[str] = field(default_factory=list)
     aligned: float | None = None
 
+    @property
+    def rest(self) -> NDArray[np.int64]:
+        """The first frame of the action of each frame."""
+        first = {action: i for i, action in reversed(list(enumerate(self.actions)))}
+        return np.array([first[action] for action in self.actions])
+
     def take(self, chosen: list[int], steps: list[int]) -> None:
         """Keep some of the frames, and number them so."""
         self.actions, self.steps = [self.actions[i] for i in chosen], steps

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from bcid.base.errors import InputError, Problems
 from bcid.base.fingerprint import fingerprint
-from bcid.base.units import LEAST_SIGMA, measurable, unit_factor, with_units
+from bcid.base.units import LEAST_SIGMA, measurable, with_units
 from bcid.measurement.contents import FORMAT, SIGMAS, Cloud, Contents, Units
 from bcid.measurement.folder import read_folder
 from bcid.measurement.folder_writer import write_folder
@@ -91,30 +91,31 @@ class Measurement(Contents):
         attrs, data.attrs = dict(data.attrs), {}
         if attrs.get("format") != FORMAT:
             raise InputError(f"{path}: expected format '{FORMAT}', found {attrs.get('format')!r}")
-        missing = [f"{name}_unit" for name in ("length", "time", "force") if f"{name}_unit" not in attrs]
+        stated = ("length_unit", "time_unit", "force_unit")
+        missing = [name for name in stated if name not in attrs]
         if missing:
             raise InputError(f"{path}: its attributes lack {', '.join(missing)}")
         for name in ("action", "grasp", "fiducial", "axis", "component", "place", "quaternion"):
             if name in data:
                 data[name] = data[name].astype(str)
-        units = Units(*(str(attrs[f"{name}_unit"]) for name in ("length", "time", "force")))
-        for name, like in (("length", "m"), ("time", "s"), ("force", "N")):
-            unit_factor(getattr(units, name), like)
+        units = Units(*(str(attrs[name]) for name in stated))
+        # Refuses units that are none.
+        _ = units.factors
         noise, force, torque = (float(attrs[name]) if name in attrs else None for name in SIGMAS)
         cloud, data = Cloud.taken(data)
         if cloud is not None and "fiducial" not in data.dims:
             data = data.assign_coords(fiducial=[])
             data["position"] = (("frame", "fiducial", "axis"), np.zeros((data.sizes["frame"], 0, 3)))
-        centre, covariance = attrs.get("frame_centre"), attrs.get("frame_covariance")
         of_frame = None
-        if centre is not None or covariance is not None:
+        if {"frame_centre", "frame_covariance"} & set(attrs):
             problems = Problems(f"measurement {path}")
-            of_frame = FrameError.checked(centre, covariance, path, problems)
+            numbers = attrs.get("frame_centre"), attrs.get("frame_covariance")
+            of_frame = FrameError.checked(*numbers, path, problems)
             problems.raise_if_any()
-        text = str(attrs.get("description", ""))
-        scale = attrs.get("scale_sigma"), bool(attrs.get("scale_of_gripper", False))
-        about = cls(data, noise, force, units, text, str(path), of_frame, torque_sigma=torque, cloud=cloud)
-        return replace(about, scale_sigma=scale[0], scale_of_gripper=scale[1]).validated()
+        about = units, str(attrs.get("description", "")), str(path), of_frame
+        found = cls(data, noise, force, *about, torque_sigma=torque, cloud=cloud)
+        of_gripper = bool(attrs.get("scale_of_gripper", False))
+        return replace(found, scale_sigma=attrs.get("scale_sigma"), scale_of_gripper=of_gripper).validated()
 
     def validated(self) -> Measurement:
         """This measurement with its dimensions in order, or an `InputError` with everything that is wrong with it.
@@ -142,19 +143,18 @@ class Measurement(Contents):
         rows = self.data.isel(frame=np.flatnonzero(self.data["action"].values.astype(str) == name))
         translation, rotation = (np.asarray(rows[key].values, dtype=float) for key in ("translation", "rotation"))
         steps, times = rows["step"].values, rows["time"].values
+        grasps, lengths = set(rows["grasp"].values.astype(str)), np.linalg.norm(rotation, axis=1)
+        moved = np.abs(translation[0]).max() > 1e-6 or abs(rotation[0, 0]) < 1 - 1e-6
         wrong = {
             "its steps must rise from 0": steps[0] != 0 or (np.diff(steps) <= 0).any(),
             "its times must be finite and not go back": not np.isfinite(times).all() or (np.diff(times) < 0).any(),
-            "it uses more than one grasp": len(set(rows["grasp"].values.astype(str))) > 1,
+            "it uses more than one grasp": len(grasps) > 1,
             "a pose of the gripper is not finite": not (np.isfinite(translation).all() and np.isfinite(rotation).all()),
-            "a rotation is not a unit quaternion": (np.abs(np.linalg.norm(rotation, axis=1) - 1) > 1e-3).any(),
-            "at step 0 the gripper must be at rest: translation 0 0 0, rotation 1 0 0 0": np.abs(translation[0]).max()
-            > 1e-6
-            or abs(rotation[0, 0]) < 1 - 1e-6,
+            "a rotation is not a unit quaternion": (np.abs(lengths - 1) > 1e-3).any(),
+            "at step 0 the gripper must be at rest: translation 0 0 0, rotation 1 0 0 0": moved,
         }
-        for text, found in wrong.items():
-            if found:
-                problems.add(self.source, f"action {name}: {text}")
+        for text in (text for text, found in wrong.items() if found):
+            problems.add(self.source, f"action {name}: {text}")
 
     def fingerprint(self) -> str:
         """Short hash of the content; equal measurements have equal fingerprints whatever file they came from."""

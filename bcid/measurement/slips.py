@@ -62,11 +62,11 @@ def slips(seen: Array, rest: Array, names: Sequence[str], size: float, floor: fl
     Args:
         size: of the body; `floor`: how well positions are known, both in m, as the positions are.
     """
-    odd = suspects(seen - rest, rest)
-    kinds = [_axes(seen, rest), _factors(seen, rest), _swaps(seen, rest, names, odd)]
-    kinds += [_renamed(seen, rest, names), _turned(seen, rest, size, floor), _decimals(seen, rest, names, odd)]
-    kinds += [_faults(seen, rest, names, odd, size, floor)]
-    return [slip for kind in kinds for slip in kind]
+    odd, whole = suspects(seen - rest, rest), np.isfinite(seen).all()
+    found = [*_axes(seen, rest)] if whole else []
+    found += [*_factors(seen, rest), *_swaps(seen, rest, names, odd)]
+    found += [*_renamed(seen, rest, names), *_turned(seen, rest, size, floor)] if whole else []
+    return [*found, *_decimals(seen, rest, names, odd), *_faults(seen, rest, names, odd, size, floor)]
 
 
 def permutations() -> list[tuple[str, Array]]:
@@ -93,8 +93,6 @@ def _axis_text(order: Sequence[int], signs: Sequence[float]) -> str:
 
 
 def _axes(seen: Array, rest: Array) -> Iterator[Slip]:
-    if not np.isfinite(seen).all():
-        return
     remedy = "write the positions in the axes of the scene"
     for text, undo in permutations():
         yield Slip("axes", text, remedy, seen @ undo.T - rest, -math.log(47), undo)
@@ -129,7 +127,7 @@ def _swaps(seen: Array, rest: Array, names: Sequence[str], odd: Sequence[int]) -
 
 def _renamed(seen: Array, rest: Array, names: Sequence[str]) -> Iterator[Slip]:
     """The fiducials in another order, each nearest to where the scene has it."""
-    if len(rest) < 3 or not np.isfinite(seen).all():
+    if len(rest) < 3:
         return
     distance = np.linalg.norm(rest[:, None] - seen[None], axis=2)
     order = linear_sum_assignment(distance)[1]
@@ -143,7 +141,7 @@ def _renamed(seen: Array, rest: Array, names: Sequence[str]) -> Iterator[Slip]:
 
 def _turned(seen: Array, rest: Array, size: float, floor: float) -> Iterator[Slip]:
     """Another frame: what a rigid motion leaves. Its six numbers pay for how finely they must be chosen."""
-    if len(rest) < 4 or not np.isfinite(seen).all():
+    if len(rest) < 4:
         return
     turn, shift = rigid_motion(seen, rest)
     angle = np.degrees(np.linalg.norm(Rotation.from_matrix(turn).as_rotvec()))
@@ -266,12 +264,13 @@ def _outside(value: Array | np.float64, low: Array | float, high: Array | float)
 
 def _beside(positions: Array) -> tuple[Array, Array]:
     """Positions one seen step before and after, shape (steps, points, 3); at an end that is the only one there is."""
-    before, after = np.full_like(positions, np.nan), np.full_like(positions, np.nan)
-    for k in range(1, len(positions)):
-        before[k] = np.where(np.isfinite(positions[k - 1]), positions[k - 1], before[k - 1])
-    for k in range(len(positions) - 2, -1, -1):
-        after[k] = np.where(np.isfinite(positions[k + 1]), positions[k + 1], after[k + 1])
-    return before, after
+    found = []
+    for seen in (positions, positions[::-1]):
+        beside = np.full_like(seen, np.nan)
+        for k in range(1, len(seen)):
+            beside[k] = np.where(np.isfinite(seen[k - 1]), seen[k - 1], beside[k - 1])
+        found.append(beside)
+    return found[0], found[1][::-1]
 
 
 def _roughness(positions: Array) -> float:

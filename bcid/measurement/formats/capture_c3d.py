@@ -16,11 +16,7 @@ from bcid.measurement.formats.grid import whole
 
 
 def read(path: Path, _how: How) -> Foreign:
-    """The points of a C3D file.
-
-    Raises:
-        InputError: it is damaged, or ezc3d is missing.
-    """
+    """The points of a C3D file."""
     data = fetched("bcid.measurement.formats.capture_c3d", path, "C3D file")
     positions, labels = data["positions"], [str(label) for label in data["labels"]]
     count = positions.shape[1]

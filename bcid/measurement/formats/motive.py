@@ -25,11 +25,7 @@ _TYPES = {*_MARKERS, "Rigid Body", "Bone"}
 
 
 def read(path: Path, _how: How) -> Foreign:
-    """The markers and rigid bodies of an export of Motive.
-
-    Raises:
-        InputError: it is cut off, or its numbers are none.
-    """
+    """The markers and rigid bodies of an export of Motive."""
     rows = filled(read_grid(path, ","))
     first = rows[0][1]
     about = dict(zip(first[::2], first[1::2], strict=False))

@@ -42,11 +42,7 @@ def recognised(head: str) -> bool:
 
 
 def read(path: Path, _how: How) -> Foreign:
-    """The trajectories of markers, or the poses of objects, of an export of Vicon.
-
-    Raises:
-        InputError: it has none, is cut off, or its numbers are none.
-    """
+    """The trajectories of markers, or the poses of objects, of an export of Vicon."""
     tabs = any(line.startswith("Frame\t") for line in read_export(path))
     rows = [(line, cells or [""]) for line, cells in read_grid(path, "\t" if tabs else ",")]
     begins = {cells[0]: i for i, (_, cells) in reversed(list(enumerate(rows))) if cells[0] in _SECTIONS}

@@ -50,11 +50,7 @@ def read_dlc_hdf5(path: Path, how: How) -> Foreign:
 
 
 def read_anipose(path: Path, how: How) -> Foreign:
-    """The markers of a 3-D file of Anipose.
-
-    Raises:
-        InputError: it is cut off, or its numbers are none.
-    """
+    """The markers of a 3-D file of Anipose."""
     rows: list[Row] = filled(read_grid(path, ","))
     header = rows[0][1]
     values = numbers(path, rows[1:], len(header), "a 3-D file of Anipose")

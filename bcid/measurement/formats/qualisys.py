@@ -22,11 +22,7 @@ _BODY = 16
 
 
 def read(path: Path, _how: How) -> Foreign:
-    """The markers, or the rigid bodies, of an export of Qualisys.
-
-    Raises:
-        InputError: it is cut off, or its numbers are none.
-    """
+    """The markers, or the rigid bodies, of an export of Qualisys."""
     rows = filled(read_grid(path, "\t"))
     start = next((i for i, (_, cells) in enumerate(rows) if _numeric(cells)), len(rows))
     need(path, rows, start + 1, "a TSV file of Qualisys")

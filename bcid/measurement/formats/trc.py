@@ -13,11 +13,7 @@ from bcid.measurement.formats.grid import distinct, filled, length_unit, need, n
 
 
 def read(path: Path, _how: How) -> Foreign:
-    """The markers of a TRC file.
-
-    Raises:
-        InputError: it is cut off, or its numbers are none.
-    """
+    """The markers of a TRC file."""
     rows = filled(read_grid(path, "\t"))
     if len(rows) > 1 and rows[1][1][0].startswith("DataRate,"):
         rows = filled(read_grid(path, ","))
