@@ -84,13 +84,12 @@ class Cloud:
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """What tells it from others, by name."""
-        names = np.array([f"{action} {step}" for action, step in self.frames])
-        found = {
+        found: dict[str, NDArray[Any]] = {
             "cloud_points": self.points,
             "cloud_sigma": self.sigma,
-            "cloud_frames": names,
             "cloud_frame": self.frame,
         }
+        found["cloud_frames"] = np.array([f"{action} {step}" for action, step in self.frames])
         return found if self.camera is None else found | {"cloud_camera": self.camera}
 
 

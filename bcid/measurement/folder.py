@@ -153,15 +153,11 @@ class _FolderReader:
         size = len(self.times) * max(len({name for _, name in seen}), len({name for _, name in loads}))
         if size > _MOST_POSITIONS:
             self.file = "fiducials.csv"
-            self.bad(
-                None, f"names and steps make {size} positions, most without a row; at most {_MOST_POSITIONS} are read"
-            )
-        if self.problems.found:
-            return None
-        self.check_frames(seen, poses)
-        if self.problems.found:
-            return None
-        return self.assemble(seen, poses, wrench, loads)
+            rule = f"most without a row; at most {_MOST_POSITIONS} are read"
+            self.bad(None, f"names and steps make {size} positions, {rule}")
+        if not self.problems.found:
+            self.check_frames(seen, poses)
+        return None if self.problems.found else self.assemble(seen, poses, wrench, loads)
 
     def table(
         self, name: str, required: list[str], optional: list[str] | None = None
@@ -172,26 +168,28 @@ class _FolderReader:
         if not path.exists():
             return [], iter(())
         lines = csv.reader(read_lines(path))
-        try:
-            names = [cell.strip() for cell in next(lines, [])]
-        except csv.Error as error:
-            self.bad(lines.line_num, f"is not a table: {error}")
-            return [], iter(())
+        _, header = next(self.cells(lines), (0, []))
+        names = [cell.strip() for cell in header]
         usable = self.columns(names, required, optional or [])
         return (names, self.rows(lines, names)) if usable else ([], iter(()))
 
-    def rows(self, lines: Any, columns: list[str]) -> Iterator[Row]:
-        """Line and cells by column, of rows that hold something."""
+    def cells(self, lines: Any) -> Iterator[tuple[int, list[str]]]:
+        """Lines of a reader of tables, up to one that is none."""
         try:
             for row in lines:
-                if not any(cell.strip() for cell in row):
-                    continue
-                if len(row) != len(columns):
-                    self.bad(lines.line_num, f"has {len(row)} values, the header names {len(columns)} columns")
-                else:
-                    yield lines.line_num, {column: cell.strip() for column, cell in zip(columns, row, strict=True)}
+                yield lines.line_num, row
         except csv.Error as error:
             self.bad(lines.line_num, f"is not a table: {error}")
+
+    def rows(self, lines: Any, columns: list[str]) -> Iterator[Row]:
+        """Line and cells by column, of rows that hold something."""
+        for line, row in self.cells(lines):
+            if not any(cell.strip() for cell in row):
+                continue
+            if len(row) != len(columns):
+                self.bad(line, f"has {len(row)} values, the header names {len(columns)} columns")
+            else:
+                yield line, {column: cell.strip() for column, cell in zip(columns, row, strict=True)}
 
     def columns(self, columns: list[str], required: list[str], optional: list[str]) -> bool:
         """Whether the columns of a header can be used."""
@@ -242,9 +240,8 @@ class _FolderReader:
             return False
         known = self.times.setdefault(frame, time)
         if abs(known - time) > _TIME_TOLERANCE * max(1.0, abs(known)):
-            self.bad(
-                line, f"time: step {frame[1]} of action {frame[0]} is at {known:g} s elsewhere, here at {time:g} s"
-            )
+            where = f"step {frame[1]} of action {frame[0]}"
+            self.bad(line, f"time: {where} is at {known:g} s elsewhere, here at {time:g} s")
             return False
         return True
 
@@ -270,9 +267,8 @@ class _FolderReader:
         columns, rows = self.table("fiducials.csv", ["action", "step", "time", "fiducial"], [*AXES, *_SIGMA])
         axes = [axis for axis in AXES if axis in columns]
         if columns and not axes:
-            self.bad(
-                1, "column x, y, z is missing; expected at least one of them, for the coordinates that were measured"
-            )
+            rule = "expected at least one of them, for the coordinates that were measured"
+            self.bad(1, f"column x, y, z is missing; {rule}")
         result = {}
         for line, row, frame in self.frames(rows, ["fiducial"]):
             name = row["fiducial"]
@@ -371,9 +367,8 @@ class _FolderReader:
         return result
 
     def check_frames(self, seen: dict[tuple[Frame, str], Any], poses: dict[Frame, Any]) -> None:
-        recorded = {action for (action, _), _ in seen} | {
-            action for action, _ in (self.cloud.frames if self.cloud else ())
-        }
+        recorded = {action for (action, _), _ in seen}
+        recorded |= {action for action, _ in (self.cloud.frames if self.cloud else ())}
         actions: dict[str, list[int]] = {}
         for action, step in self.times:
             actions.setdefault(action, []).append(step)
@@ -406,9 +401,8 @@ class _FolderReader:
         if (action, 0) in poses:
             line, _, translation, rotation = poses[action, 0]
             if max(map(abs, translation)) > _REST_TOLERANCE or abs(rotation[0]) < 1 - _REST_TOLERANCE:
-                self.bad(
-                    line, f"step 0 of action {action} must be the rest pose: x,y,z = 0,0,0 and qw,qx,qy,qz = 1,0,0,0"
-                )
+                rule = "must be the rest pose: x,y,z = 0,0,0 and qw,qx,qy,qz = 1,0,0,0"
+                self.bad(line, f"step 0 of action {action} {rule}")
 
     def assemble(
         self,

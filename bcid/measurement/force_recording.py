@@ -14,7 +14,7 @@ from scipy.optimize import minimize_scalar
 
 from bcid.base.errors import InputError
 from bcid.measurement.contents import WRENCH
-from bcid.measurement.mapped_table import Rows, Tracks
+from bcid.measurement.tracks import Rows, Tracks
 
 Array = NDArray[np.float64]
 # A gripper goes back where its way falls by more than this part of the furthest; clocks agree where ways differ by less (RMS).
@@ -63,6 +63,7 @@ class ForceRecording:
         rows.problems.raise_if_any()
         wrench = values[:, : len(WRENCH)]
         time, way = (values[:, len(WRENCH) + i] if name else None for i, name in enumerate(clocks))
+        way = None if way is None else np.abs(way - way[0])
         offset = told.get("offset", None if way is not None else 0.0)
         if time is not None and (back := np.flatnonzero(np.diff(time) < 0)).size:
             raise InputError(f"{path}: {told['time']}: the times go back in line {rows.rows[int(back[0]) + 1][0]}")
@@ -75,15 +76,11 @@ class ForceRecording:
             InputError: the way of the gripper does not tell which sample belongs to a frame.
         """
         if self.time is None:
-            return self._between(self._rising(self._way_of(recording)), np.maximum.accumulate(self._own_way))
+            assert self.way is not None
+            return self._between(self._rising(self._way_of(recording)), np.maximum.accumulate(self.way))
         times = np.array(recording.times, dtype=float)
         offset = self._offset(times, self._way_of(recording)) if self.offset is None else self.offset
         return self._between(times + offset, self.time)
-
-    @property
-    def _own_way(self) -> Array:
-        assert self.way is not None
-        return np.abs(self.way - self.way[0])
 
     def _between(self, wanted: Array, known: Array) -> Array:
         found = [np.interp(wanted, known, column, left=np.nan, right=np.nan) for column in self.wrench.T]
@@ -109,7 +106,8 @@ class ForceRecording:
     def _offset(self, times: Array, way: Array) -> float:
         """What makes both ways agree best, at least half of the frames being in the record."""
         assert self.time is not None
-        own, clock = self._own_way, self.time
+        assert self.way is not None
+        own, clock = self.way, self.time
 
         def misses(offset: float) -> float:
             apart = np.interp(times + offset, clock, own, left=np.nan, right=np.nan) - way

@@ -156,9 +156,8 @@ def guess_arrays(path: Path) -> dict[str, Any]:
     content = look(path, list(_NCORR_GRID))
     field, missing = _of_displacements(content)
     tracked = any(len(s) == 3 and 3 in s and _called(p, _POSITIONS) for p, s in content.shapes.items())
-    told = _ncorr(content) or field
-    told = told or ({} if missing and not tracked else _of_positions(content) or _of_table(content))
-    if told:
+    others = not missing or tracked
+    if told := _ncorr(content) or field or (others and (_of_positions(content) or _of_table(content))):
         return told
     if missing:
         raise InputError(f"{path}: {missing}; add it to the file, or write a mapping with [arrays] (docs/formats.md)")
@@ -193,10 +192,9 @@ def _of_positions(content: ArrayFile) -> dict[str, Any]:
         arrays["names"] = named
     columns = {"time": clocks[frames]} if frames in clocks else {}
     for key, width, words in (("pose", 7, ("pose",)), ("wrench", 6, ("wrench", "force", "ft"))):
-        one = next(
-            (p for p, s in content.shapes.items() if sorted(s) == sorted((frames, width)) and _called(p, words)), None
-        )
-        columns |= {} if one is None else {key: one}
+        fit = [p for p, s in content.shapes.items() if sorted(s) == sorted((frames, width)) and _called(p, words)]
+        if fit:
+            columns[key] = fit[0]
     return {"arrays": arrays, "columns": columns}
 
 
@@ -247,14 +245,10 @@ def _of_displacements(content: ArrayFile) -> tuple[dict[str, Any], str]:
     if order is None:
         text = "displacements {} are {}, and rest positions {} are {}: they are not of the same points"
         return {}, text.format(moved[0], shown(shape), rest[0], shown(_shape(content, rest[0])))
-    arrays: dict[str, Any] = {
-        "displacements": moved if len(moved) > 1 else moved[0],
-        "rest": rest if len(rest) > 1 else rest[0],
-    }
-    arrays["order"] = " ".join(order)
-    field = (
-        shape if len(moved) > 1 else tuple(n for n, d in zip(shape, _spread(order, shape), strict=True) if d != "axis")
-    )
+    arrays: dict[str, Any] = {"displacements": moved if len(moved) > 1 else moved[0]}
+    arrays |= {"rest": rest if len(rest) > 1 else rest[0], "order": " ".join(order)}
+    spread = zip(shape, _spread(order, shape), strict=True)
+    field = shape if len(moved) > 1 else tuple(n for n, dimension in spread if dimension != "axis")
     for path in _steps(content):
         if _last(path) in _QUALITY and _shape(content, path) == field:
             arrays["quality"] = path
@@ -304,13 +298,7 @@ def _components(
             alike = len({_shape(content, one) for one in there}) == 1 or bool(beside)
             if len(there) == 3 and alike:
                 return there, ""
-            if (
-                len(there) == 2
-                and not beside
-                and alike
-                and triple[2] not in names
-                and triple[:2] == [*map(_last, there)]
-            ):
+            if alike and not beside and triple[:2] == [*map(_last, there)]:
                 if not any({"z", "z0", "pos_z", "grid_z"} & set(other) for other in groups.values()):
                     return there, ""
                 missing = (

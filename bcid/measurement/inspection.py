@@ -22,9 +22,8 @@ from bcid.measurement.formats.dic_export import lacking
 from bcid.measurement.formats.foreign import CORRELATION, Foreign
 from bcid.measurement.formats.recognise import TABLE, Format, files, recognise
 from bcid.measurement.guess import guess_arrays, guess_table
-from bcid.measurement.mapped_points import displaced_at_first, read_foreign, with_rest
-from bcid.measurement.mapped_table import read_table
 from bcid.measurement.mapping import FORMAT, read_mapping
+from bcid.measurement.tracks import displaced_at_first, read_foreign, read_table, with_rest
 
 if TYPE_CHECKING:
     from bcid.scene import Scene
@@ -34,6 +33,14 @@ _HEADER = 50
 # Markers that are named one by one.
 _NAMED = 24
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
+_MOVED_AT_FIRST = (
+    'rest = "reference"          # the state from which displacements count: the first frame is no rest',
+    "# first = 0                 # first frame that is used, from 0",
+)
+_AT_REST_AT_FIRST = (
+    "first = 0                   # first frame that is used, from 0; the gripper is at rest in it, unless:",
+    "# rest = 0                  # another frame of rest, before the first",
+)
 _ABOUT = {"wrench": "   # of the gripper on the body, about the grasp centre, body frame"}
 # More points than this make every n-th a fiducial.
 _MOST_POINTS = 500
@@ -212,14 +219,8 @@ def mapping_lines(file: str, told: dict[str, Any], seen: Foreign | None, scene: 
         lines += ["", "[arrays]                    # guessed from shapes and names"]
         lines += [f"{key} = {_toml(value)}" for key, value in told["arrays"].items()]
     lines += _fiducials(told, seen, scene)
-    first = "first = 0                   # first frame that is used, from 0"
-    if seen is not None and displaced_at_first(seen):
-        rest = 'rest = "reference"          # the state from which displacements count: the first frame is no rest'
-        frames = [rest, "# first = 0                 # first frame that is used, from 0"]
-    else:
-        rest = "# rest = 0                  # another frame of rest, before the first"
-        frames = [f"{first}; the gripper is at rest in it, unless:", rest]
-    lines += ["", "[frames]", *frames, "# last = 400", "# every = 10"]
+    moved = seen is not None and displaced_at_first(seen)
+    lines += ["", "[frames]", *(_MOVED_AT_FIRST if moved else _AT_REST_AT_FIRST), "# last = 400", "# every = 10"]
     return lines + _align(seen, told, scene)
 
 
@@ -235,13 +236,9 @@ def chosen_points(seen: Foreign) -> tuple[int, list[str]]:
 
 def scene_lines(seen: Foreign, unit: str) -> list[str]:
     """The table [fiducials] of a scene with the rest positions of the points of a mapping."""
-    head = [
-        "# Paste into the scene. The positions are in the frame of the recording: the scene must have the same.",
-        "[fiducials]",
-    ]
-    return head + [
-        f'"{label}" = "{" ".join(f"{v:.10g}" for v in seen.rest[label])} {unit}"' for label in chosen_points(seen)[1]
-    ]
+    head = "# Paste into the scene. The positions are in the frame of the recording: the scene must have the same."
+    places = {label: " ".join(f"{v:.10g}" for v in seen.rest[label]) for label in chosen_points(seen)[1]}
+    return [head, "[fiducials]", *(f'"{label}" = "{place} {unit}"' for label, place in places.items())]
 
 
 def _units(told: dict[str, Any], seen: Foreign | None) -> list[str]:
@@ -292,11 +289,8 @@ def _fiducials(told: dict[str, Any], seen: Foreign | None, scene: Scene | None) 
     if seen.numbered:
         every, labels = chosen_points(seen)
         if len(labels) == len(list(seen.points)[::every]):
-            lines = [
-                "",
-                "[points]",
-                f"every = {every}                   # of the {len(seen.points)} points, one in so many",
-            ]
+            chosen = f"every = {every}                   # of the {len(seen.points)} points, one in so many"
+            lines = ["", "[points]", chosen]
             bound = "# least_correlation = 0.5   # points that are correlated worse count as not seen"
             return [*lines, bound] if CORRELATION in seen.quality else lines
         return ["", "[fiducials]             # points that are known at rest", *(f'"{x}" = {x}' for x in labels)]
@@ -311,9 +305,9 @@ def _table_of(markers: dict[str, Any], seen: dict[str, float], scene: Scene | No
         return []
     named = {name: _same(name, list(scene.fiducials)) if scene is not None else _key(name) for name in markers}
     taken = {name: key for name, key in named.items() if key is not None}
-    lines = ["", "[fiducials]"]
-    for name, key in taken.items():
-        lines.append(f"{_quoted(key)} = {_toml(markers[name])}{_part(seen.get(name))}")
+    # A mapping without fiducials reads all markers: here they are to be named first.
+    lines = ["", "[fiducials]"] if taken else [""]
+    lines += [f"{_quoted(key)} = {_toml(markers[name])}{_part(seen.get(name))}" for name, key in taken.items()]
     if scene is not None:
         lost = [name for name in scene.fiducials if name not in taken.values()]
         lines += [f'# {_quoted(name)} = "?"           # fiducial of the scene: which marker is it?' for name in lost]
@@ -321,9 +315,6 @@ def _table_of(markers: dict[str, Any], seen: dict[str, float], scene: Scene | No
     if left:
         lines += ["", "# [reference]               # markers that only help to align"]
         lines += [f"# {_quoted(_key(name))} = {_toml(markers[name])}{_part(seen.get(name))}" for name in left]
-    if not taken:
-        # A mapping without fiducials reads all markers: here they are to be named first.
-        lines = [line for line in lines if line != "[fiducials]"]
     return lines
 
 

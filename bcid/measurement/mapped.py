@@ -18,10 +18,9 @@ from bcid.base.units import percent
 from bcid.measurement.contents import WRENCH, Contents, Units, frames_dataset, with_noise
 from bcid.measurement.folder import read_grasps
 from bcid.measurement.force_recording import ForceRecording
-from bcid.measurement.mapped_points import read_points_of
-from bcid.measurement.mapped_table import Tracks, read_table
 from bcid.measurement.mapping import Mapping, read_mapping
 from bcid.measurement.slips import FACTORS, rigid_motion
+from bcid.measurement.tracks import Tracks, read_points_of, read_table
 
 Array = NDArray[np.float64]
 
@@ -49,7 +48,7 @@ def read_mapped(path: Path) -> Contents:
     """
     mapping = read_mapping(path)
     recording = read_points_of(mapping) if mapping.labelled else read_table(mapping)
-    recording.select(_chosen(mapping), mapping.file)
+    recording.select(mapping.frames, mapping.file)
     if not recording.actions:
         raise InputError(f"{path}: frames: no frame of {mapping.file.name} is left; check first, last and every")
     if mapping.pixel is not None:
@@ -68,14 +67,6 @@ def read_mapped(path: Path) -> Contents:
     return _contents(recording, mapping)
 
 
-def _chosen(mapping: Mapping) -> tuple[int, int | None, int, int | None]:
-    """First and last frame, step, and frame of rest, where the state of reference stands before those of the file."""
-    first, last, every, rest = mapping.frames
-    if not mapping.from_reference:
-        return first, last, every, rest
-    return first + 1, None if last is None else last + 1, every, 0
-
-
 def _to_body_frame(recording: Tracks, mapping: Mapping) -> tuple[Array, Array]:
     """Apply the rigid motion that takes the markers of `align`, in the first frame, to where they are said to be; returns it."""
     if not mapping.align:
@@ -88,10 +79,6 @@ def _to_body_frame(recording: Tracks, mapping: Mapping) -> tuple[Array, Array]:
             values[np.isfinite(values).any(axis=1), axis] = 0.0
     here = np.array([recording.positions[name][0] for name in names]).reshape(-1, 3)
     there = np.array([mapping.align[name] for name in names]).reshape(-1, 3)
-    if len(names) < 3 or not np.isfinite(here).all():
-        raise InputError(
-            f"{mapping.path}: align: its markers must all be seen in the first frame, with all three coordinates"
-        )
     try:
         recording.remarks += _oddities(here, there, names)
     except InputError as error:
@@ -110,8 +97,10 @@ def _oddities(here: Array, there: Array, names: Sequence[str]) -> list[str]:
     """What is odd about the rigid motion from markers seen at `here` to where they are said to be, `there`, (n, 3), in one unit.
 
     Raises:
-        InputError: they stand on one line, or cannot be brought onto each other.
+        InputError: they are too few, stand on one line, or cannot be brought onto each other.
     """
+    if len(names) < 3 or not np.isfinite(here).all():
+        raise InputError("its markers must all be seen in the first frame, with all three coordinates")
     span = max(float(np.linalg.norm(np.ptp(there, axis=0))), 1e-300)
     if (np.abs(here) > _FURTHEST * span).any():
         furthest = names[int(np.abs(here).max(axis=1).argmax())]
@@ -127,9 +116,8 @@ def _oddities(here: Array, there: Array, names: Sequence[str]) -> list[str]:
     if chance > _SAID:
         return [f"align: {told}: {text}"]
     if rms > _LIMIT * span:
-        raise InputError(
-            f"{told}: check the places and the markers, which must be those of the first frame, and length_unit"
-        )
+        rule = "check the places and the markers, which must be those of the first frame, and length_unit"
+        raise InputError(f"{told}: {rule}")
     return [f"align: {told}"] if rms > 0.5 * _LIMIT * span else []
 
 

@@ -56,7 +56,7 @@ class Mapping:
         files: of the recording; `format`: theirs, and `labelled`: whether markers are named by labels in them.
         table: everything that is stated.
         markers: columns or label of each marker; those of `fiducials` are measured, the others help to align or are on the gripper.
-        frames: first, last, every how many, and the frame of rest.
+        frames: first, last, every how many, and the frame of rest, counted from the state of reference where that is the first.
         from_reference: whether the frame of rest is the state from which displacements count.
         align: places of markers in the frame of the body, in the unit of length.
         sigmas: standard deviations of positions, forces and torques, SI.
@@ -317,4 +317,6 @@ def _frames(check: Stated, table: dict[str, Any], labelled: bool) -> tuple[int, 
         check.expect(fine, name, f"a whole number of at least {least}", value)
     if type(rest) is int and type(first) is int and rest > first:
         check.bad("rest", f"the frame of rest, {rest}, must not come after the first that is used, {first}")
+    if table.get("rest") == REFERENCE and type(first) is int:
+        return first + 1, last + 1 if type(last) is int else None, every, 0
     return first, last, every, rest

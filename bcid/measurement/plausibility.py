@@ -114,8 +114,7 @@ class _View:
     """
 
     def __init__(self, scene: Scene, measurement: Contents) -> None:
-        self.measurement, self.actions = measurement, measurement.actions
-        self.names = measurement.fiducial_names
+        self.actions, self.names = measurement.actions, measurement.fiducial_names
         self.rest = np.array([scene.fiducials[name] for name in self.names]).reshape(-1, 3)
         self.centres = {name: np.array(grasp.centre) for name, grasp in scene.grasps.items()}
         places = np.vstack([scene.rest, *(centre[None] for centre in self.centres.values())])

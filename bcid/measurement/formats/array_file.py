@@ -54,13 +54,10 @@ def look(path: Path, wanted: list[str]) -> ArrayFile:
     what = "MAT file" if matlab else f"{kind} file"
     data = fetched("bcid.measurement.formats.array_tree", path, what, [kind, *(one.strip("/") for one in wanted)])
     paths = [str(one) for one in data["paths"]]
-    kinds = [str(one).split() for one in data["shapes"]]
-    shapes = {
-        p: tuple(int(n) for n in (k[1] if k[1:] else "").split("x") if n) for p, k in zip(paths, kinds, strict=True)
-    }
-    text = frozenset(p for p, k in zip(paths, kinds, strict=True) if k[0] == "text")
+    shapes = [tuple(int(n) for n in str(one).split("x") if n) for one in data["shapes"]]
+    text = frozenset(path for path, is_text in zip(paths, data["texts"], strict=True) if is_text)
     arrays = {one: data[str(i)] for i, one in enumerate(wanted) if str(i) in data}
-    return ArrayFile(shapes, text, arrays, bool(data.get("pandas", False)))
+    return ArrayFile(dict(zip(paths, shapes, strict=True)), text, arrays, bool(data.get("pandas", False)))
 
 
 def read_series(paths: Sequence[Path], how: How) -> Foreign:

@@ -85,15 +85,11 @@ def described(tree: Any, wanted: list[str]) -> dict[str, Any]:
         found[path] = leaf
         if len(found) >= _MOST:
             break
-    shapes = [_shape(leaf) for leaf in found.values()]
-    made: dict[str, Any] = {"paths": np.array(list(found), dtype=str), "shapes": np.array(shapes, dtype=str)}
+    shapes = [(len(leaf), *leaf[0].shape) if isinstance(leaf, list) else leaf.shape for leaf in found.values()]
+    texts = [(leaf[0] if isinstance(leaf, list) else leaf).dtype.kind in "USO" for leaf in found.values()]
+    made: dict[str, Any] = {"paths": np.array(list(found), dtype=str), "texts": np.array(texts, dtype=bool)}
+    made["shapes"] = np.array(["x".join(map(str, shape)) for shape in shapes], dtype=str)
     return made | {str(wanted.index(path)): _loaded(path, found[path]) for path in wanted if path in found}
-
-
-def _shape(leaf: Any) -> str:
-    shape = (len(leaf), *leaf[0].shape) if isinstance(leaf, list) else leaf.shape
-    kind = (leaf[0] if isinstance(leaf, list) else leaf).dtype.kind
-    return f"{'text' if kind in 'USO' else 'numbers'} {'x'.join(map(str, shape))}"
 
 
 def _loaded(path: str, leaf: Any) -> Any:

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from bcid.base.confined import serve
-from bcid.measurement.formats.foreign import Foreign, How, fetched, needed
-from bcid.measurement.formats.grid import whole
+from bcid.measurement.formats.foreign import Foreign, How, fetched, needed, whole
 
 
 def read(path: Path, _how: How) -> Foreign:

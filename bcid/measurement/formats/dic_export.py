@@ -20,8 +20,7 @@ from scipy.spatial import cKDTree
 
 from bcid.base.errors import InputError, nearest
 from bcid.base.text_file import read_export
-from bcid.measurement.formats.foreign import Foreign, How
-from bcid.measurement.formats.grid import filled, numbers, read_grid
+from bcid.measurement.formats.foreign import Foreign, How, filled, numbers, read_grid
 
 Array = NDArray[np.float64]
 

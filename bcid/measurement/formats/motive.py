@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import InputError
-from bcid.measurement.formats.foreign import Foreign, How
-from bcid.measurement.formats.grid import Row, filled, length_unit, need, numbers, read_grid, whole
+from bcid.measurement.formats.foreign import Foreign, How, Row, filled, length_unit, need, numbers, read_grid, whole
 
 Array = NDArray[np.float64]
 

@@ -14,8 +14,18 @@ from numpy.typing import NDArray
 
 from bcid.base.errors import InputError
 from bcid.base.text_file import read_export
-from bcid.measurement.formats.foreign import Foreign, How
-from bcid.measurement.formats.grid import Row, distinct, length_unit, need, number, numbers, read_grid, whole
+from bcid.measurement.formats.foreign import (
+    Foreign,
+    How,
+    Row,
+    distinct,
+    length_unit,
+    need,
+    number,
+    numbers,
+    read_grid,
+    whole,
+)
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,18 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from bcid.base.errors import InputError
-from bcid.measurement.formats.foreign import Foreign, How
-from bcid.measurement.formats.grid import Row, distinct, filled, need, number, numbers, read_grid, whole
+from bcid.measurement.formats.foreign import (
+    Foreign,
+    How,
+    Row,
+    distinct,
+    filled,
+    need,
+    number,
+    numbers,
+    read_grid,
+    whole,
+)
 
 Array = NDArray[np.float64]
 

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from bcid.base.confined import serve
 from bcid.base.errors import InputError
-from bcid.measurement.formats.foreign import Foreign, How, fetched, needed
-from bcid.measurement.formats.grid import whole
+from bcid.measurement.formats.foreign import Foreign, How, fetched, needed, whole
 
 Array = NDArray[np.float64]
 # Label, kind ("point", "pose", "wrench") and numbers of what a message holds.
@@ -31,16 +30,11 @@ def read(path: Path, how: How) -> Foreign:
     """Markers, poses and wrenches of a bag, at the times of the marker `how.clock`, or of the one that is seen most often.
 
     What else was recorded is taken from the message nearest in time, within half of the interval of its topic or of the clock's.
-
-    Raises:
-        InputError: the bag is damaged, or holds no message of these types.
     """
     folder = path.is_dir()
     module = "bcid.measurement.formats.ros_bag"
     data = fetched(module, path / BODY if folder else path, "ROS bag", in_place=folder)
-    topics = [f"{topic}" for topic in data["topics"]]
-    labels = [str(label) for label in data["labels"]]
-    kinds = [str(kind) for kind in data["kinds"]]
+    topics, labels, kinds = ([str(one) for one in data[key]] for key in ("topics", "labels", "kinds"))
     streams = [(data[f"t{i}"], data[f"v{i}"]) for i in range(len(labels))]
     seen = {label: i for i, label in enumerate(labels) if kinds[i] != "wrench"}
     if not seen:
@@ -52,8 +46,7 @@ def read(path: Path, how: How) -> Foreign:
     at = {label: _sampled(*streams[i], clock) for label, i in seen.items()}
     points = {label: whole(values[:, :3]) for label, values in at.items()}
     bodies = {label: values for label, values in at.items() if kinds[seen[label]] == "pose"}
-    forces = {label: i for i, label in enumerate(labels) if kinds[i] == "wrench"}
-    wrenches = {label: _sampled(*streams[i], clock) for label, i in forces.items()}
+    wrenches = {label: _sampled(*streams[i], clock) for i, label in enumerate(labels) if kinds[i] == "wrench"}
     notes = tuple(f"not read: {topic}" for topic in data["unread"])
     return Foreign("ROS bag", clock - clock[0], points, bodies, wrenches, unit="m", notes=notes)
 
@@ -71,7 +64,6 @@ def _interval(times: Array) -> float:
 
 
 # -- in the child
-# --------------------------------------------------------------------------------------------------------------
 
 
 def _streams(source: Path, _arguments: Sequence[str]) -> dict[str, Any]:

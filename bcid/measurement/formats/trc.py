@@ -8,8 +8,18 @@ from __future__ import annotations
 from pathlib import Path
 
 from bcid.base.errors import InputError
-from bcid.measurement.formats.foreign import Foreign, How
-from bcid.measurement.formats.grid import distinct, filled, length_unit, need, number, numbers, read_grid, whole
+from bcid.measurement.formats.foreign import (
+    Foreign,
+    How,
+    distinct,
+    filled,
+    length_unit,
+    need,
+    number,
+    numbers,
+    read_grid,
+    whole,
+)
 
 
 def read(path: Path, _how: How) -> Foreign:
