@@ -76,7 +76,7 @@ class SurfaceFiles:
         lens = [_numbers(lens_check, camera, key, 1, [math.nan])[0] for key in _LENS] if depth else []
         for key, value in zip(_LENS, lens, strict=False):
             if math.isnan(value) or (key in ("fx", "fy") and value <= 0):
-                lens_check.bad(key, f"{key} is needed for depth images, in pixels")
+                lens_check.bad(key, "is needed for depth images, in pixels")
         sigma = _numbers(check, table, "sigma", 1, [math.nan])[0]
         check.expect(not sigma <= 0, "sigma", "a positive number", sigma)
         rotation = _numbers(lens_check, camera, "rotation", 4, [1.0, 0.0, 0.0, 0.0])
@@ -84,12 +84,7 @@ class SurfaceFiles:
         lens_check.expect(unit_length, "rotation", "a unit quaternion, as [1, 0, 0, 0] (w first)", rotation)
         pattern = str(table[named[0]]) if named else ""
         if named:
-            inside = pattern.count("{step}") == 1 and pattern.count("{action}") < 2
-            inside = inside and ".." not in pattern and not pattern.startswith("/")
-            check.expect(inside, named[0], "a path in this folder that holds {step} once", pattern)
-            suffixes = DEPTHS if depth else CLOUDS
-            known = Path(pattern).suffix.lower() in suffixes
-            check.expect(known, named[0], f"one of {', '.join(suffixes)}", pattern)
+            _check_pattern(check, named[0], pattern, DEPTHS if depth else CLOUDS)
         unit, box = _unit(check, table.get("unit"), length), _box(check, table.get("box")) * length
         position = np.array(_numbers(lens_check, camera, "position", 3, [0.0] * 3)) * length
         placed = "position" in camera or depth
@@ -193,6 +188,13 @@ def _numbers(check: Stated, table: Mapping[str, Any], key: str, count: int, abse
     fine = len(values) == count and all(map(is_number, values))
     what = "a number" if count == 1 else f"{count} numbers"
     return [float(v) for v in values] if check.expect(fine, key, what, value) else absent
+
+
+def _check_pattern(check: Stated, key: str, pattern: str, suffixes: tuple[str, ...]) -> None:
+    inside = pattern.count("{step}") == 1 and pattern.count("{action}") < 2
+    inside = inside and ".." not in pattern and not pattern.startswith("/")
+    check.expect(inside, key, "a path in this folder that holds {step} once", pattern)
+    check.expect(Path(pattern).suffix.lower() in suffixes, key, f"one of {', '.join(suffixes)}", pattern)
 
 
 def _unit(check: Stated, value: Any, absent: float) -> float:

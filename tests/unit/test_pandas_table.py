@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from bcid.base.errors import InputError
-from bcid.measurement.formats.foreign import Foreign, How
-from bcid.measurement.formats.pose_estimation import read_dlc_hdf5
+from bcid.measurement.formats.foreign import Foreign
+from bcid.measurement.inspection import import_file
 from validation.reliability import foreign_files as made
 
 h5py = pytest.importorskip("h5py")
@@ -35,7 +35,7 @@ def _genuine(folder: Path, layout: str) -> Path:
 
 @pytest.mark.parametrize("layout", ["fixed", "table"])
 def test_a_table_of_deeplabcut_in_either_layout_is_read_as_pandas_does(tmp_path: Path, layout: str) -> None:
-    read = read_dlc_hdf5(_genuine(tmp_path, layout), How())
+    read = import_file(_genuine(tmp_path, layout)).seen
     assert list(read.points) == list(made.LABELS)
     for i, label in enumerate(made.LABELS):
         np.testing.assert_array_equal(read.points[label], made.XYZ[:, i])
@@ -47,7 +47,7 @@ def test_a_block_of_objects_is_refused_and_not_unpickled(tmp_path: Path) -> None
     with pytest.warns(pd.errors.PerformanceWarning):
         table.to_hdf(tmp_path / "dlc.h5", key="df_with_missing", format="fixed", mode="w")
     with pytest.raises(InputError, match=r"block0_values\) are kept as Python objects .* export it as CSV"):
-        read_dlc_hdf5(tmp_path / "dlc.h5", How())
+        import_file(tmp_path / "dlc.h5")
 
 
 @pytest.mark.parametrize("name", ["info", "values_block_0_kind"])
@@ -67,7 +67,7 @@ def test_levels_that_are_objects_are_refused_and_not_unpickled(tmp_path: Path) -
         level[0] = np.frombuffer(pickle.dumps(_Ends()), "u1")
         level.attrs["PSEUDOATOM"] = np.bytes_("object")
     with pytest.raises(InputError, match=r"block0_items_level1\) are kept as Python objects"):
-        read_dlc_hdf5(path, How())
+        import_file(path)
 
 
 @pytest.mark.parametrize(
@@ -92,4 +92,4 @@ def _read_with_labels(folder: Path, name: str, pickled: bytes) -> Foreign:
     with h5py.File(path, "r+") as file:
         group = file["df_with_missing"]
         (group if name == "info" else group["table"]).attrs[name] = np.void(pickled)
-    return read_dlc_hdf5(path, How())
+    return import_file(path).seen

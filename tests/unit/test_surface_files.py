@@ -130,7 +130,7 @@ def test_of_a_dense_cloud_points_are_taken_evenly(folder: Path) -> None:
         ('[surface]\nclouds = "{step}.ply"\n', {"0.ply": b"nonsense"}, "a file of the surface cannot be read"),
         ('[surface]\nclouds = "{step}.stl"\n', {}, "expected one of .ply"),
         ('[surface]\nclouds = "../{step}.ply"\n', {}, "expected a path in this folder"),
-        ('[surface]\ndepth = "{step}.png"\n', {}, "fx is needed for depth images"),
+        ('[surface]\ndepth = "{step}.png"\n', {}, "surface.camera.fx: is needed for depth images"),
         ('[surface]\nclouds = "{step}.ply"\nunit = "kg"\n', {}, "unit"),
         ('[surface]\nclouds = "{step}.ply"\nbox = [[0, 0, 0], [0, 1, 1]]\n', {}, "two corners, the lower first"),
         ('[surface]\nclouds = "{step}.ply"\ncloud = 1\n', {}, "surface.cloud: unknown key"),

@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 
 from bcid.base.errors import InputError, nearest
 from bcid.base.text_file import read_export
-from bcid.measurement.formats.foreign import Foreign, How, filled, numbers, read_grid
+from bcid.measurement.formats.foreign import Export, Foreign, How
 
 Array = NDArray[np.float64]
 
@@ -201,14 +201,15 @@ def _read(path: Path, how: How) -> tuple[_Frame, Array | None]:
         )
     delimiter, names = _delimiter(begin[start]), _names(begin[start])
     rest, moved, point = _columns(names, how.columns) or ([], [], [])
-    rows = [row for row in filled(read_grid(path, delimiter)) if row[0] > start + 1]
+    export = Export.read(path, delimiter, "a CSV file of image correlation")
+    rows = [row for row in export.rows if row[0] > start + 1]
     step = _one_of(names, how.columns.get("step"), _STEP)
     good = _one_of(names, how.columns.get("quality"), _QUALITY)
     for name in (*rest, *moved, *point, *step, *good):
         if name not in names:
             raise InputError(f"{path}:{start + 1}: has no column '{name}'; {nearest(name, names)}")
     used = {names.index(name) for name in (*rest, *moved, *point, *step, *good, "sigma") if name in names}
-    values = numbers(path, rows, len(names), "a CSV file of image correlation", used)
+    values = export.numbers(rows, len(names), used)
     parts = [values[:, [names.index(name) for name in columns]] for columns in (rest, moved)]
     if "sigma" in names:
         # VIC-3D marks points that were not correlated by a sigma of -1: what else is in their rows is no position.

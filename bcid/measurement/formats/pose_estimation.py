@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from bcid.base.confined import serve
 from bcid.base.errors import InputError
 from bcid.base.own_storage import refuse_outside
-from bcid.measurement.formats.foreign import Foreign, How, Row, fetched, filled, need, needed, numbers, read_grid, whole
+from bcid.measurement.formats.foreign import Export, Foreign, How, fetched, needed, whole
 
 Array = NDArray[np.float64]
 
@@ -46,11 +46,12 @@ def read_dlc(path: Path, how: How) -> Foreign:
     Raises:
         InputError: it is two-dimensional, cut off, or its numbers are none.
     """
-    rows = filled(read_grid(path, ","))
+    export = Export.read(path, ",", "a CSV file of DeepLabCut")
+    rows = export.rows
     start = next((i for i, (_, cells) in enumerate(rows) if _whole_number(cells[0])), len(rows))
-    need(path, rows, start + 1, "a CSV file of DeepLabCut")
+    export.need(start + 1)
     names = {cells[0]: cells[1:] for _, cells in rows[:start]}
-    values = numbers(path, rows[start:], len(rows[0][1]), "a CSV file of DeepLabCut")[:, 1:]
+    values = export.numbers(rows[start:], len(rows[0][1]))[:, 1:]
     return _dlc(path, names, values, how)
 
 
@@ -63,9 +64,9 @@ def read_dlc_hdf5(path: Path, how: How) -> Foreign:
 
 def read_anipose(path: Path, how: How) -> Foreign:
     """The markers of a 3-D file of Anipose."""
-    rows: list[Row] = filled(read_grid(path, ","))
-    header = rows[0][1]
-    values = numbers(path, rows[1:], len(header), "a 3-D file of Anipose")
+    export = Export.read(path, ",", "a 3-D file of Anipose")
+    header = export.rows[0][1]
+    values = export.numbers(export.rows[1:], len(header))
     columns: dict[str, dict[str, Array]] = {}
     for i, match in enumerate(map(_ANIPOSE.fullmatch, header)):
         if match:
