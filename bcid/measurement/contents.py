@@ -102,11 +102,6 @@ def with_noise(data: xr.Dataset, noise: Sigma) -> tuple[xr.Dataset, float | None
     return data.assign(sigma=(("frame", "fiducial", "axis"), filled)), None
 
 
-def sigma_units(length: float, force: float) -> tuple[float, float, float]:
-    """SI per unit of each of `SIGMAS`, from those of length (m) and force (N)."""
-    return length, force, length * force
-
-
 @dataclass(frozen=True)
 class Units:
     """Units of the files, by name; numbers in memory are SI."""

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 
 from bcid.base.errors import InputError, unwritable
-from bcid.measurement.contents import FORMAT, SIGMAS, WRENCH, Cloud, Contents, sigma_units
+from bcid.measurement.contents import FORMAT, SIGMAS, WRENCH, Cloud, Contents
 from bcid.measurement.folder import SURFACE
 from bcid.scene.action import Action
 
@@ -95,7 +95,7 @@ def grasp_lines(actions: Iterable[Action], length: float, time: float) -> list[s
 def _header_lines(measurement: Contents, length: float, force: float) -> list[str]:
     lines = [f'format = "{FORMAT}"']
     lines += [f'{name}_unit = "{unit}"' for name, unit in asdict(measurement.units).items()]
-    for name, scale in zip(SIGMAS, sigma_units(length, force), strict=True):
+    for name, scale in zip(SIGMAS, (length, force, length * force), strict=True):
         value = getattr(measurement, name)
         if value is not None:
             lines.append(f"{name} = {_cells([value / scale])}")

@@ -79,9 +79,8 @@ def import_file(source: Path, target: Path | None = None, scene: Scene | None = 
     """
     found = files(source.parent, source.name)
     if not found:
-        raise InputError(
-            f"{source}: no such file; expected a recording, or a pattern as 'frame_*.csv' for one file a frame"
-        )
+        rule = "expected a recording, or a pattern as 'frame_*.csv' for one file a frame"
+        raise InputError(f"{source}: no such file; {rule}")
     target = target or found[0].with_name(f"{_stem(source)}.toml")
     if target.suffix != ".toml":
         raise InputError(f"{target}: a mapping is a TOML file; choose a name that ends in .toml")
@@ -97,7 +96,8 @@ def import_file(source: Path, target: Path | None = None, scene: Scene | None = 
     try:
         _check_unit(found[0], told.get("length_unit", ""))
         seen = _read(partial, file, known, told)
-        _write(partial, mapping_lines(file, told, seen if _labelled(known, told) else None, scene))
+        labelled = known is not TABLE and "table" not in told
+        _write(partial, mapping_lines(file, told, seen if labelled else None, scene))
         unit = read_mapping(partial).units.length
         dense = with_rest(seen) if seen.numbered else None
         if dense is not None:
@@ -120,10 +120,6 @@ def _stem(source: Path) -> str:
     return "".join(c for c in source.stem if c not in "*?[]").rstrip("_-. ") or "mapping"
 
 
-def _labelled(known: Format, told: dict[str, Any]) -> bool:
-    return known is not TABLE and "table" not in told
-
-
 def _guess(path: Path, known: Format) -> dict[str, Any]:
     """Keys of a mapping that are known before the file is read."""
     if known.arrays:
@@ -144,8 +140,7 @@ def _guess(path: Path, known: Format) -> dict[str, Any]:
 
 def _read(partial: Path, file: str, known: Format, told: dict[str, Any]) -> Foreign:
     """The content, read through a first mapping that has what was guessed alone."""
-    first = mapping_lines(file, told, None, None)
-    _write(partial, first)
+    _write(partial, mapping_lines(file, told, None, None))
     mapping = read_mapping(partial)
     if mapping.labelled:
         seen = read_foreign(mapping)

@@ -238,22 +238,18 @@ def jumps(positions: Array, gripper: Array, noise: float, size: float, slip: flo
     # What is within a few scales is looked at no further.
     found = []
     for k, i, axis in np.argwhere(np.nan_to_num(away / scale) > 5.0):
-        here = float(positions[k, i, axis]), float(low[k, i, axis]), float(high[k, i, axis]), float(scale[k, 0, 0])
-        none = _log_t(float(away[k, i, axis]), here[3])
-        other = prior - math.log(2.0 * size)
-        mended = [
-            _log_t(float(_outside(np.float64(here[0] * f), here[1], here[2])), here[3])
-            - math.log(len(DECIMALS))
-            + prior
-            for f in DECIMALS
-        ]
+        value, least, most = (float(one[k, i, axis]) for one in (positions, low, high))
+        spread = float(scale[k, 0, 0])
+        none, other = _log_t(float(away[k, i, axis]), spread), prior - math.log(2.0 * size)
+        misses = [float(_outside(np.float64(value * factor), least, most)) for factor in DECIMALS]
+        mended = [_log_t(miss, spread) - math.log(len(DECIMALS)) + prior for miss in misses]
         total = float(logsumexp([none, other, *mended]))
         probability = -math.expm1(none - total)
         if probability > 0.5:
             best = int(np.argmax(mended))
             factor = DECIMALS[best] if mended[best] > other else None
-            expected = 0.5 * (here[1] + here[2])
-            found.append(Jump(int(k), int(i), int(axis), here[0], expected, probability, factor))
+            expected = 0.5 * (least + most)
+            found.append(Jump(int(k), int(i), int(axis), value, expected, probability, factor))
     return found
 
 

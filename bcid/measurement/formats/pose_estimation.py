@@ -48,7 +48,7 @@ def read_dlc(path: Path, how: How) -> Foreign:
     """
     export = Export.read(path, ",", "a CSV file of DeepLabCut")
     rows = export.rows
-    start = next((i for i, (_, cells) in enumerate(rows) if _whole_number(cells[0])), len(rows))
+    start = next((i for i, (_, cells) in enumerate(rows) if cells[0].isascii() and cells[0].isdigit()), len(rows))
     export.need(start + 1)
     names = {cells[0]: cells[1:] for _, cells in rows[:start]}
     values = export.numbers(rows[start:], len(rows[0][1]))[:, 1:]
@@ -75,10 +75,6 @@ def read_anipose(path: Path, how: How) -> Foreign:
     return _foreign("3-D CSV of Anipose", {label: at for label, at in columns.items() if set("xyz") <= set(at)}, how)
 
 
-def _whole_number(text: str) -> bool:
-    return text.isascii() and text.isdigit()
-
-
 def _dlc(path: Path, names: dict[str, list[str]], values: Array, how: How) -> Foreign:
     if not {"bodyparts", "coords"} <= set(names):
         raise InputError(f"{path}: names {', '.join(names)}; a table of DeepLabCut has bodyparts and coords")
@@ -87,9 +83,8 @@ def _dlc(path: Path, names: dict[str, list[str]], values: Array, how: How) -> Fo
             said = f"its line '{level[:40]}' names {len(row)} columns, its numbers have {values.shape[1]}"
             raise InputError(f"{path}: {said}; export it again")
     if "z" not in names["coords"]:
-        raise InputError(
-            f"{path}: holds positions in an image (x, y) alone; triangulate it first (deeplabcut.triangulate)"
-        )
+        rule = "triangulate it first (deeplabcut.triangulate)"
+        raise InputError(f"{path}: holds positions in an image (x, y) alone; {rule}")
     parts, one = names["bodyparts"], names.get("individuals")
     labels = parts if one is None else [f"{who}/{part}" for who, part in zip(one, parts, strict=True)]
     columns: dict[str, dict[str, Array]] = {}

@@ -30,9 +30,8 @@ def read(path: Path, _how: How) -> Foreign:
     kind = (about.get("DATA_INCLUDED", (0, [""]))[1] or [""])[0]
     key, size = ("BODY_NAMES", _BODY) if kind == "6D" else ("MARKER_NAMES", 3)
     if kind not in ("3D", "6D") or key not in about or "FREQUENCY" not in about:
-        raise InputError(
-            f"{path}: expected DATA_INCLUDED 3D or 6D, names and FREQUENCY; found '{kind}': export 3D data"
-        )
+        rule = "expected DATA_INCLUDED 3D or 6D, names and FREQUENCY"
+        raise InputError(f"{path}: {rule}; found '{kind}': export 3D data")
     labels = [name for name in about[key][1] if name]
     export.distinct(labels)
     rate = export.number((about["FREQUENCY"][1] or [""])[0], "FREQUENCY", about["FREQUENCY"][0])
@@ -45,9 +44,8 @@ def read(path: Path, _how: How) -> Foreign:
         bodies = {label: _pose(part) for label, part in parts.items()}
         return Foreign("TSV of Qualisys (6D)", times, {}, bodies, unit="mm")
     # A marker that was not seen stands at 0, 0, 0.
-    points = {
-        label: whole(np.where((part == 0).all(axis=1, keepdims=True), np.nan, part)) for label, part in parts.items()
-    }
+    lost = {label: (part == 0).all(axis=1, keepdims=True) for label, part in parts.items()}
+    points = {label: whole(np.where(lost[label], np.nan, part)) for label, part in parts.items()}
     return Foreign("TSV of Qualisys", times, points, unit="mm")
 
 
@@ -73,11 +71,8 @@ def _pose(part: Array) -> Array:
     """Position and quaternion (w, x, y, z) of a body, shape (frames, 7)."""
     pose = np.full((len(part), 7), np.nan)
     turn = part[:, 7:].reshape(-1, 3, 3).transpose(0, 2, 1)
-    seen = (
-        np.isfinite(part[:, :3]).all(axis=1)
-        & np.isfinite(turn).all(axis=(1, 2))
-        & (np.abs(np.linalg.det(turn) - 1) < 0.01)
-    )
+    seen = np.isfinite(part[:, :3]).all(axis=1) & np.isfinite(turn).all(axis=(1, 2))
+    seen &= np.abs(np.linalg.det(turn) - 1) < 0.01
     pose[seen, :3] = part[seen, :3]
     if seen.any():
         pose[seen, 3:] = Rotation.from_matrix(turn[seen]).as_quat(scalar_first=True)
