@@ -15,7 +15,7 @@ from bcid.base.kriging import Kriging
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.mesh.closest import closest_triangles
 from bcid.measurement import Measurement
-from bcid.measurement.pooling import halved_groups
+from bcid.measurement.compared import halved_groups
 from bcid.scene import Scene
 from bcid.scene.parts import LEAST_POINTS, Driven
 

@@ -18,8 +18,7 @@ from bcid.forms.mesh.patches import divided
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
 from bcid.measurement import WRENCH, Action, Measurement
-from bcid.measurement.cloud import Cloud, frames_of
-from bcid.measurement.contents import motions_dataset
+from bcid.measurement.contents import Cloud, frames_of, motions_dataset
 from bcid.scene import Scene
 
 Array = NDArray[np.float64]

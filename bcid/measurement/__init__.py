@@ -5,6 +5,7 @@ Names are imported where they are asked for: a process that only reads a foreign
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -12,28 +13,12 @@ if TYPE_CHECKING:
     from bcid.measurement.measurement import Measurement
     from bcid.scene.action import Action
 
-__all__ = [
-    "AXES",
-    "FORMAT",
-    "QUATERNION",
-    "WRENCH",
-    "Action",
-    "Measurement",
-    "Units",
-]
+__all__ = ["AXES", "FORMAT", "QUATERNION", "WRENCH", "Action", "Measurement", "Units"]
 
 
 def __getattr__(name: str) -> Any:
-    if name == "Measurement":
-        from bcid.measurement.measurement import Measurement
-
-        return Measurement
+    if name not in __all__:
+        raise AttributeError(f"module 'bcid.measurement' has no attribute '{name}'")
     if name == "Action":
-        from bcid.scene.action import Action
-
-        return Action
-    if name in __all__:
-        from bcid.measurement import contents
-
-        return getattr(contents, name)
-    raise AttributeError(f"module 'bcid.measurement' has no attribute '{name}'")
+        return import_module("bcid.scene.action").Action
+    return getattr(import_module(f"bcid.measurement.{'measurement' if name == 'Measurement' else 'contents'}"), name)

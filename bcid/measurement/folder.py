@@ -6,7 +6,7 @@ import csv
 import math
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,53 +15,61 @@ import xarray as xr
 
 from bcid.base.errors import InputError, Problems
 from bcid.base.text_file import read_lines, read_toml
-from bcid.base.units import LEAST_SIGMA, measurable, unit_factor
-from bcid.measurement import surface_table
-from bcid.measurement.cloud import Cloud, Frame
+from bcid.base.units import LEAST_SIGMA, measurable
 from bcid.measurement.contents import (
     AXES,
     FORMAT,
     QUATERNION,
     SIGMAS,
     WRENCH,
+    Cloud,
     Contents,
+    Frame,
+    Sigma,
     Units,
     frames_dataset,
-    sigma_units,
-    with_sigmas,
+    with_noise,
 )
 from bcid.measurement.frame_error import FrameError
-from bcid.measurement.scale import SCALE_KEYS, checked_flag, checked_scale
+from bcid.measurement.stated import SCALE_KEYS, UNITS, Stated
 from bcid.measurement.surface_files import SurfaceFiles
 from bcid.scene.action import Action
 
-_UNIT_KEYS = {"length_unit": "m", "time_unit": "s", "force_unit": "N"}
-_KEYS = ("format", *_UNIT_KEYS, *SIGMAS, *SCALE_KEYS, "description")
+# Number of the line, for messages, and cells by column.
+Row = tuple[int, dict[str, str]]
+_KEYS = ("format", *UNITS, *SIGMAS, *SCALE_KEYS, "description", "surface")
+SURFACE = "surface.csv"
 _SIGMA = ["sigma_x", "sigma_y", "sigma_z"]
 _TIME_TOLERANCE = 1e-9
 _REST_TOLERANCE = 1e-6
 # Steps times fiducials (or places): with their standard deviations they take 2.4 GB.
 _MOST_POSITIONS = 50_000_000
+# Line, name of the grasp, translation (m) and unit quaternion.
+_Pose = tuple[int, str, list[float], list[float]]
 
 
-@dataclass
-class _Table:
-    """Rows of one CSV file: where each frame's numbers stand, with the line for messages."""
-
-    rows: list[tuple[int, dict[str, str]]] = field(default_factory=list)
-    columns: list[str] = field(default_factory=list)
-
-
-@dataclass
+@dataclass(frozen=True)
 class _Header:
+    """What measurement.toml states, with SI per unit of length, time and force in `factors`."""
+
     units: Units
-    length: float
-    time: float
-    force: float
-    description: str
-    sigmas: tuple[Any, ...] = ()
+    factors: tuple[float, float, float]
+    description: str = ""
+    sigmas: tuple[Sigma, float | None, float | None] = (None, None, None)
     scale: tuple[float | None, bool] = (None, False)
     surface: SurfaceFiles | None = None
+
+    @classmethod
+    def read(cls, path: Path, problems: Problems) -> _Header:
+        table, check = read_toml(path), Stated(path, problems)
+        check.only(table, _KEYS)
+        check.expect(table.get("format") == FORMAT, "format", f'"{FORMAT}"', table.get("format"))
+        units, factors = check.units(table)
+        description = table.get("description", "")
+        check.expect(isinstance(description, str), "description", "text", description)
+        sigmas, scale = check.sigmas(table, factors[0], factors[2]), (check.scale(table), check.flag(table))
+        surface = SurfaceFiles.checked(table["surface"], factors[0], path, problems) if "surface" in table else None
+        return cls(units, factors, str(description), sigmas, scale, surface)
 
 
 def read_folder(folder: Path) -> Contents:
@@ -74,22 +82,19 @@ def read_folder(folder: Path) -> Contents:
             hint = "; write its header line alone when nothing grasps the body" if name == "grasps.csv" else ""
             problems.add(folder / name, f"is missing{hint}")
     problems.raise_if_any()
-    header = _read_header(folder / "measurement.toml", problems)
-    if (header.surface is None or not header.surface.pattern) and not any(
-        (folder / name).is_file() for name in ("fiducials.csv", surface_table.FILE)
-    ):
-        problems.add(folder / "fiducials.csv", f"is missing, and so is {surface_table.FILE}")
+    header = _Header.read(folder / "measurement.toml", problems)
+    named = header.surface is not None and header.surface.pattern
+    if not named and not any((folder / name).is_file() for name in ("fiducials.csv", SURFACE)):
+        problems.add(folder / "fiducials.csv", f"is missing, and so is {SURFACE}")
     reader = _FolderReader(folder, header, problems)
     data = reader.dataset()
     problems.raise_if_any()
     assert data is not None
-    noise, force, torque = header.sigmas
-    if isinstance(noise, tuple):
-        data, noise = with_sigmas(data, noise), None
+    data, noise = with_noise(data, header.sigmas[0])
     file = folder / "frame.toml"
-    error = FrameError.read(file, header.length) if file.is_file() else None
+    error = FrameError.read(file, header.factors[0]) if file.is_file() else None
     about = header.units, header.description, str(folder), error
-    found = Contents(data, noise, force, *about, torque_sigma=torque, cloud=reader.cloud)
+    found = Contents(data, noise, header.sigmas[1], *about, torque_sigma=header.sigmas[2], cloud=reader.cloud)
     return replace(found, scale_sigma=header.scale[0], scale_of_gripper=header.scale[1])
 
 
@@ -102,7 +107,7 @@ def read_grasps(path: Path, units: Units) -> list[Action]:
     problems = Problems(f"motions {path}")
     if not path.is_file():
         raise InputError(f"{path}: no such file with the poses of the gripper")
-    reader = _FolderReader(path.parent, _Header(units, *units.factors, ""), problems, path.name)
+    reader = _FolderReader(path.parent, _Header(units, units.factors), problems, path.name)
     poses = reader.grasps()
     if not poses and not problems.found:
         reader.bad(None, "holds no pose")
@@ -124,73 +129,13 @@ def read_grasps(path: Path, units: Units) -> list[Action]:
     return actions
 
 
-def _read_header(path: Path, problems: Problems) -> _Header:
-    table = read_toml(path)
-    problems.add_unknown(path, table, (*_KEYS, "surface"))
-    if table.get("format") != FORMAT:
-        problems.add(path, f'format: expected "{FORMAT}", found {table.get("format")!r}')
-    factors = [_unit(path, table, key, like, problems) for key, like in _UNIT_KEYS.items()]
-    units = sigma_units(factors[0], factors[2])
-    stated: list[Any] = [_sigma(path, table, key, unit, problems) for key, unit in zip(SIGMAS, units, strict=True)]
-    description = table.get("description", "")
-    if not isinstance(description, str):
-        problems.add(path, f"description: expected text, found {description!r}")
-    return _Header(
-        Units(*(str(table.get(key, like)) for key, like in _UNIT_KEYS.items())),
-        factors[0],
-        factors[1],
-        factors[2],
-        str(description),
-        tuple(stated),
-        (checked_scale(path, table, problems), checked_flag(path, table, problems)),
-        SurfaceFiles.checked(table["surface"], factors[0], path, problems) if "surface" in table else None,
-    )
-
-
-def _unit(path: Path, table: dict[str, Any], key: str, like: str, problems: Problems) -> float:
-    unit = table.get(key)
-    if not isinstance(unit, str):
-        found = "is missing" if unit is None else f"expected text, found {unit!r}"
-        problems.add(path, f'{key}: {found}; write {key} = "{"mm" if like == "m" else like}"')
-        return 1.0
-    try:
-        return unit_factor(unit, like)
-    except InputError as error:
-        problems.add(path, f"{key}: {error}")
-        return 1.0
-
-
-def _sigma(
-    path: Path, table: dict[str, Any], key: str, unit: float, problems: Problems
-) -> float | tuple[float | None, ...] | None:
-    """A stated standard deviation, SI, or that of each axis."""
-    value = table.get(key)
-    if value is None:
-        return None
-    if key == "noise_sigma" and isinstance(value, list):
-        if len(value) != len(AXES):
-            problems.add(path, f"{key}: expected one number, or three for x, y and z, found {value!r}")
-            return None
-        return tuple(_number(path, {key: one}, key, unit, problems) for one in value)
-    return _number(path, table, key, unit, problems)
-
-
-def _number(path: Path, table: dict[str, Any], key: str, unit: float, problems: Problems) -> float | None:
-    value = table[key]
-    if isinstance(value, bool) or not isinstance(value, int | float) or not measurable(value * unit):
-        allowed = f"from {LEAST_SIGMA / unit:.3g} to 1e30 (its unit is the folder's)"
-        problems.add(path, f"{key}: expected a positive number {allowed}, found {value!r}")
-        return None
-    return float(value) * unit
-
-
 class _FolderReader:
     """Reads the CSV files into one Dataset, noting every problem with its line."""
 
     def __init__(self, folder: Path, header: _Header, problems: Problems, motions: str = "grasps.csv") -> None:
-        self.folder, self.motions = folder, motions
-        self.header = header
-        self.problems = problems
+        self.folder, self.motions, self.problems = folder, motions, problems
+        self.surface = header.surface
+        self.length, self.time, self.force = header.factors
         self.times: dict[Frame, float] = {}
         self.cloud: Cloud | None = None
         self.file = ""
@@ -200,8 +145,7 @@ class _FolderReader:
 
     def dataset(self) -> xr.Dataset | None:
         seen = self.fiducials()
-        self.file = surface_table.FILE
-        self.cloud = surface_table.read_table(self, self.folder / self.file, self.header.length)
+        self.surface_points()
         poses = self.grasps()
         self.surface_files()
         wrench = self.vectors("wrench.csv", [], WRENCH, [])
@@ -209,42 +153,46 @@ class _FolderReader:
         size = len(self.times) * max(len({name for _, name in seen}), len({name for _, name in loads}))
         if size > _MOST_POSITIONS:
             self.file = "fiducials.csv"
-            self.bad(
-                None, f"names and steps make {size} positions, most without a row; at most {_MOST_POSITIONS} are read"
-            )
-        if self.problems.found:
-            return None
-        self.check_frames(seen, poses)
-        if self.problems.found:
-            return None
-        return self.assemble(seen, poses, wrench, loads)
+            rule = f"most without a row; at most {_MOST_POSITIONS} are read"
+            self.bad(None, f"names and steps make {size} positions, {rule}")
+        if not self.problems.found:
+            self.check_frames(seen, poses)
+        return None if self.problems.found else self.assemble(seen, poses, wrench, loads)
 
-    def table(self, name: str, required: list[str], optional: list[str] | None = None) -> _Table:
-        """Rows of a CSV file whose columns are `required` and any of `optional`, in any order."""
+    def table(
+        self, name: str, required: list[str], optional: list[str] | None = None
+    ) -> tuple[list[str], Iterator[Row]]:
+        """Columns of a CSV file, `required` and any of `optional` in any order, and its rows; none where it cannot be used."""
         self.file = name
         path = self.folder / name
         if not path.exists():
-            return _Table()
-        return self.rows(csv.reader(read_lines(path)), required, optional or [])
+            return [], iter(())
+        lines = csv.reader(read_lines(path))
+        _, header = next(self.cells(lines), (0, []))
+        names = [cell.strip() for cell in header]
+        usable = self.columns(names, required, optional or [])
+        return (names, self.rows(lines, names)) if usable else ([], iter(()))
 
-    def rows(self, lines: Any, required: list[str], optional: list[str]) -> _Table:
+    def cells(self, lines: Any) -> Iterator[tuple[int, list[str]]]:
+        """Lines of a reader of tables, up to one that is none."""
         try:
-            columns = [name.strip() for name in next(lines, [])]
-            table = self.columns(columns, required, optional)
             for row in lines:
-                if not any(cell.strip() for cell in row):
-                    continue
-                if len(row) != len(columns):
-                    self.bad(lines.line_num, f"has {len(row)} values, the header names {len(columns)} columns")
-                elif table.columns:
-                    cells = {column: cell.strip() for column, cell in zip(columns, row, strict=True)}
-                    table.rows.append((lines.line_num, cells))
+                yield lines.line_num, row
         except csv.Error as error:
             self.bad(lines.line_num, f"is not a table: {error}")
-            return _Table()
-        return table
 
-    def columns(self, columns: list[str], required: list[str], optional: list[str]) -> _Table:
+    def rows(self, lines: Any, columns: list[str]) -> Iterator[Row]:
+        """Line and cells by column, of rows that hold something."""
+        for line, row in self.cells(lines):
+            if not any(cell.strip() for cell in row):
+                continue
+            if len(row) != len(columns):
+                self.bad(line, f"has {len(row)} values, the header names {len(columns)} columns")
+            else:
+                yield line, {column: cell.strip() for column, cell in zip(columns, row, strict=True)}
+
+    def columns(self, columns: list[str], required: list[str], optional: list[str]) -> bool:
+        """Whether the columns of a header can be used."""
         counts = Counter(columns)
         missing = [name for name in required if name not in counts]
         unknown = [name for name in columns if name not in required + optional]
@@ -255,7 +203,7 @@ class _FolderReader:
         self.problems.add_unknown(self.folder / self.file, unknown, required + optional, text, 1)
         if double:
             self.bad(1, f"column {', '.join(double)} stands twice")
-        return _Table() if missing or unknown or double else _Table(columns=columns)
+        return not (missing or unknown or double)
 
     def number(self, line: int, row: dict[str, str], column: str) -> float:
         text = row[column]
@@ -287,22 +235,21 @@ class _FolderReader:
 
     def timed(self, line: int, row: dict[str, str], frame: Frame) -> bool:
         before = len(self.problems.found)
-        time = self.number(line, row, "time") * self.header.time
+        time = self.number(line, row, "time") * self.time
         if len(self.problems.found) > before:
             return False
         known = self.times.setdefault(frame, time)
         if abs(known - time) > _TIME_TOLERANCE * max(1.0, abs(known)):
-            self.bad(
-                line, f"time: step {frame[1]} of action {frame[0]} is at {known:g} s elsewhere, here at {time:g} s"
-            )
+            where = f"step {frame[1]} of action {frame[0]}"
+            self.bad(line, f"time: {where} is at {known:g} s elsewhere, here at {time:g} s")
             return False
         return True
 
-    def frames(self, table: _Table, keys: list[str]) -> Iterator[tuple[int, dict[str, str], Frame]]:
+    def frames(self, rows: Iterator[Row], keys: list[str]) -> Iterator[tuple[int, dict[str, str], Frame]]:
         """Valid rows, refusing a second row for the same frame and `keys`."""
         last: dict[str, int] = {}
         seen: dict[tuple[Any, ...], int] = {}
-        for line, row in table.rows:
+        for line, row in rows:
             frame = self.frame(line, row, last)
             if frame is None:
                 continue
@@ -316,55 +263,77 @@ class _FolderReader:
 
     def fiducials(self) -> dict[tuple[Frame, str], tuple[list[float], list[float]]]:
         """Positions and sigmas (m) by frame and fiducial."""
-        table = self.table("fiducials.csv", ["action", "step", "time", "fiducial"], [*AXES, *_SIGMA])
-        axes = [axis for axis in AXES if axis in table.columns]
-        if table.columns and not axes:
-            self.bad(
-                1, "column x, y, z is missing; expected at least one of them, for the coordinates that were measured"
-            )
+        before = len(self.problems.found)
+        columns, rows = self.table("fiducials.csv", ["action", "step", "time", "fiducial"], [*AXES, *_SIGMA])
+        axes = [axis for axis in AXES if axis in columns]
+        if columns and not axes:
+            rule = "expected at least one of them, for the coordinates that were measured"
+            self.bad(1, f"column x, y, z is missing; {rule}")
         result = {}
-        for line, row, frame in self.frames(table, ["fiducial"]):
+        for line, row, frame in self.frames(rows, ["fiducial"]):
             name = row["fiducial"]
             if not name:
                 self.bad(line, "fiducial: its name is empty")
                 continue
-            position = [self.number(line, row, a) * self.header.length if row.get(a) else math.nan for a in AXES]
+            position = [self.number(line, row, a) * self.length if row.get(a) else math.nan for a in AXES]
             result[frame, name] = position, [self.row_sigma(line, row, column) for column in _SIGMA]
-        if table.columns and not table.rows:
+        if columns and not result and len(self.problems.found) == before:
             self.bad(None, "is empty: expected one row for each step and fiducial")
         elif axes and result and not any(np.isfinite(position).any() for position, _ in result.values()):
             self.bad(None, "holds no position: no fiducial was ever seen")
         return result
 
+    def surface_points(self) -> None:
+        """Points of a table: any number in each step."""
+        columns, rows = self.table(SURFACE, ["action", "step", "time", *AXES], ["sigma"])
+        frames: dict[Frame, int] = {}
+        known: dict[tuple[str, ...], int] = {}
+        last: dict[str, int] = {}
+        values: list[list[float]] = []
+        for line, row in rows:
+            key = row["action"], row["step"], row["time"]
+            if key not in known:
+                frame = self.frame(line, row, last)
+                if frame is None:
+                    continue
+                known[key] = frames.setdefault(frame, len(frames))
+            place = [self.number(line, row, axis) * self.length for axis in AXES]
+            values.append([known[key], *place, self.row_sigma(line, row, "sigma")])
+        if values:
+            table = np.array(values)
+            self.cloud = Cloud(table[:, 1:4], table[:, 4], tuple(frames), table[:, 0].astype(np.int64))
+        elif columns:
+            self.bad(None, "holds no point")
+
     def surface_files(self) -> None:
         """Points of the surface in files of their own, once the times of the steps are known."""
-        if self.header.surface is None or self.problems.found:
+        if self.surface is None or self.problems.found:
             return
-        if self.cloud is not None and not self.header.surface.pattern:
-            self.cloud = replace(self.cloud, camera=self.header.surface.camera)
+        if self.cloud is not None and not self.surface.pattern:
+            self.cloud = replace(self.cloud, camera=self.surface.camera)
         elif self.cloud is not None:
-            self.file = surface_table.FILE
+            self.file = SURFACE
             self.bad(None, "stands beside files that [surface] in measurement.toml names: leave one of them out")
-        elif not self.header.surface.pattern:
+        elif not self.surface.pattern:
             self.file = "measurement.toml"
-            self.bad(None, f"[surface]: names no files, and there is no {surface_table.FILE}")
+            self.bad(None, f"[surface]: names no files, and there is no {SURFACE}")
         else:
-            self.cloud = self.header.surface.read(self.folder, list(self.times))
+            self.cloud = self.surface.read(self.folder, list(self.times))
 
     def row_sigma(self, line: int, row: dict[str, str], column: str) -> float:
         if not row.get(column):
             return math.nan
-        value = self.number(line, row, column) * self.header.length
+        value = self.number(line, row, column) * self.length
         if not measurable(value):
             self.bad(line, f"{column}: expected a positive number of at least {LEAST_SIGMA:g} m, found '{row[column]}'")
         return value
 
-    def grasps(self) -> dict[Frame, tuple[int, str, list[float], list[float]]]:
+    def grasps(self) -> dict[Frame, _Pose]:
         """Line, grasp name, translation (m) and unit quaternion by frame."""
-        table = self.table(self.motions, ["action", "step", "time", "grasp", *AXES, *QUATERNION])
+        _, rows = self.table(self.motions, ["action", "step", "time", "grasp", *AXES, *QUATERNION])
         result = {}
-        for line, row, frame in self.frames(table, []):
-            translation = [self.number(line, row, axis) * self.header.length for axis in AXES]
+        for line, row, frame in self.frames(rows, []):
+            translation = [self.number(line, row, axis) * self.length for axis in AXES]
             rotation = np.array([self.number(line, row, q) for q in QUATERNION])
             norm = math.hypot(*rotation)
             if not row["grasp"]:
@@ -382,26 +351,24 @@ class _FolderReader:
     ) -> dict[tuple[Frame, str], list[float]]:
         """Forces (N) and torques (N m) of a file that may be missing, by frame and place; NaN where one is not given."""
         result, columns = {}, [*required, *optional]
-        table = self.table(name, ["action", "step", "time", *keys, *required], optional)
-        if table.columns and not set(columns) & set(table.columns):
+        given, rows = self.table(name, ["action", "step", "time", *keys, *required], optional)
+        if given and not set(columns) & set(given):
             self.bad(1, f"column {', '.join(columns)} is missing; expected at least one of them")
-        for line, row, frame in self.frames(table, keys):
+        for line, row, frame in self.frames(rows, keys):
             if any(not row[key] or not row[key].isprintable() for key in keys):
                 self.bad(line, f"{keys[0]}: expected the name of a place of the scene, found {row[keys[0]]!r}")
                 continue
-            unit = [self.header.force * (self.header.length if column.startswith("t") else 1.0) for column in columns]
-            given = [column in required or bool(row.get(column)) for column in columns]
-            values = [
-                self.number(line, row, column) * u if there else math.nan
-                for column, u, there in zip(columns, unit, given, strict=True)
+            result[frame, row[keys[0]] if keys else ""] = [
+                self.number(line, row, column) * (self.force * (self.length if column.startswith("t") else 1.0))
+                if column in required or row.get(column)
+                else math.nan
+                for column in columns
             ]
-            result[frame, row[keys[0]] if keys else ""] = values
         return result
 
     def check_frames(self, seen: dict[tuple[Frame, str], Any], poses: dict[Frame, Any]) -> None:
-        recorded = {action for (action, _), _ in seen} | {
-            action for action, _ in (self.cloud.frames if self.cloud else ())
-        }
+        recorded = {action for (action, _), _ in seen}
+        recorded |= {action for action, _ in (self.cloud.frames if self.cloud else ())}
         actions: dict[str, list[int]] = {}
         for action, step in self.times:
             actions.setdefault(action, []).append(step)
@@ -434,14 +401,13 @@ class _FolderReader:
         if (action, 0) in poses:
             line, _, translation, rotation = poses[action, 0]
             if max(map(abs, translation)) > _REST_TOLERANCE or abs(rotation[0]) < 1 - _REST_TOLERANCE:
-                self.bad(
-                    line, f"step 0 of action {action} must be the rest pose: x,y,z = 0,0,0 and qw,qx,qy,qz = 1,0,0,0"
-                )
+                rule = "must be the rest pose: x,y,z = 0,0,0 and qw,qx,qy,qz = 1,0,0,0"
+                self.bad(line, f"step 0 of action {action} {rule}")
 
     def assemble(
         self,
         seen: dict[tuple[Frame, str], tuple[list[float], list[float]]],
-        poses: dict[Frame, tuple[int, str, list[float], list[float]]],
+        poses: dict[Frame, _Pose],
         wrench: dict[tuple[Frame, str], list[float]],
         loads: dict[tuple[Frame, str], list[float]],
     ) -> xr.Dataset:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+import xarray as xr
 
 from bcid.base.errors import InputError, unwritable
-from bcid.measurement import surface_table
-from bcid.measurement.contents import FORMAT, SIGMAS, WRENCH, Contents, sigma_units
-from bcid.measurement.surface_table import written
+from bcid.measurement.contents import FORMAT, SIGMAS, WRENCH, Cloud, Contents
+from bcid.measurement.folder import SURFACE
 from bcid.scene.action import Action
 
 
@@ -38,42 +39,46 @@ def write_folder(measurement: Contents, folder: Path) -> None:
 
 
 def _texts(measurement: Contents) -> dict[str, list[str]]:
-    data, units = measurement.data, measurement.units
-    length, time, force = units.factors
-    head = [
-        f"{a},{s},{written(t / time)}"
-        for a, s, t in zip(*(data[n].values for n in ("action", "step", "time")), strict=True)
-    ]
+    data = measurement.data
+    length, time, force = measurement.units.factors
+    frames = zip(*(data[name].values for name in ("action", "step", "time")), strict=True)
+    head = [f"{action},{step},{_cells([at / time])}" for action, step, at in frames]
     texts = {"measurement.toml": _header_lines(measurement, length, force)}
-    sigma = data["sigma"].values / length if "sigma" in data else None
-    lines = ["action,step,time,fiducial,x,y,z" + (",sigma_x,sigma_y,sigma_z" if sigma is not None else "")]
-    for i, start in enumerate(head):
-        for j, name in enumerate(measurement.fiducial_names):
-            cells = [written(v) for v in measurement.positions[i, j] / length]
-            cells += [] if sigma is None else [written(v) for v in sigma[i, j]]
-            lines.append(f"{start},{name},{','.join(cells)}")
-    if measurement.fiducial_names:
-        texts["fiducials.csv"] = lines
+    if names := measurement.fiducial_names:
+        stated = [data["sigma"].values] if "sigma" in data else []
+        values = np.concatenate([measurement.positions, *stated], axis=2) / length
+        texts["fiducials.csv"] = ["action,step,time,fiducial,x,y,z" + (",sigma_x,sigma_y,sigma_z" if stated else "")]
+        texts["fiducials.csv"] += _each(head, names, values)
     if measurement.cloud is not None:
-        texts[surface_table.FILE] = surface_table.table_lines(measurement.cloud, data, head, length)
+        texts[SURFACE] = _surface_lines(measurement.cloud, data, head, length)
     texts["grasps.csv"] = grasp_lines([action for action in measurement.actions if action.grasp], length, time)
     if "wrench" in data:
-        scale = np.array([force] * 3 + [force * length] * 3)
-        rows = [
-            f"{start},{','.join(written(v) for v in row / scale)}"
-            for start, row in zip(head, data["wrench"].values, strict=True)
-        ]
-        rows = [row for row, values in zip(rows, data["wrench"].values, strict=True) if np.isfinite(values).any()]
-        texts["wrench.csv"] = ["action,step,time," + ",".join(WRENCH), *rows]
+        rows = zip(head, data["wrench"].values / ([force] * 3 + [force * length] * 3), strict=True)
+        texts["wrench.csv"] = ["action,step,time," + ",".join(WRENCH)]
+        texts["wrench.csv"] += [f"{start},{_cells(row)}" for start, row in rows if np.isfinite(row).any()]
     if "load" in data:
-        texts["loads.csv"] = ["action,step,time,place,fx,fy,fz"] + [
-            f"{start},{place},{','.join(written(v) for v in data['load'].values[i, k] / force)}"
-            for i, start in enumerate(head)
-            for k, place in enumerate(data["place"].values)
-        ]
+        texts["loads.csv"] = ["action,step,time,place,fx,fy,fz"]
+        texts["loads.csv"] += _each(head, data["place"].values, data["load"].values / force)
     if measurement.frame_error is not None:
         texts["frame.toml"] = measurement.frame_error.lines(length)
     return texts
+
+
+def _each(head: Iterable[str], names: Iterable[str], values: np.ndarray) -> list[str]:
+    """A line for each frame and name, of values (frames, names, columns)."""
+    return [f"{start},{name},{_cells(values[i, k])}" for i, start in enumerate(head) for k, name in enumerate(names)]
+
+
+def _surface_lines(cloud: Cloud, data: xr.Dataset, head: list[str], length: float) -> list[str]:
+    """Lines of a surface.csv; `head` has action, step and time of each frame."""
+    numbers = cloud.numbers(data)
+    stated = bool(np.isfinite(cloud.sigma).any())
+    lines = ["action,step,time,x,y,z" + (",sigma" if stated else "")]
+    for k in np.argsort(numbers, kind="stable"):
+        if numbers[k] >= 0:
+            values = [*cloud.points[k], cloud.sigma[k]] if stated else cloud.points[k]
+            lines.append(f"{head[numbers[k]]},{_cells(np.array(values) / length)}")
+    return lines
 
 
 def grasp_lines(actions: Iterable[Action], length: float, time: float) -> list[str]:
@@ -82,27 +87,29 @@ def grasp_lines(actions: Iterable[Action], length: float, time: float) -> list[s
     for action in actions:
         rows = zip(action.steps, action.clock / time, action.translation / length, action.rotation, strict=True)
         for step, at, translation, rotation in rows:
-            cells = [*map(written, (at, *translation)), *(f"{v:.17g}" for v in rotation)]
-            lines.append(f"{action.name},{step},{cells[0]},{action.grasp},{','.join(cells[1:])}")
+            turn = ",".join(f"{v:.17g}" for v in rotation)
+            lines.append(f"{action.name},{step},{_cells([at])},{action.grasp},{_cells(translation)},{turn}")
     return lines
 
 
 def _header_lines(measurement: Contents, length: float, force: float) -> list[str]:
     lines = [f'format = "{FORMAT}"']
     lines += [f'{name}_unit = "{unit}"' for name, unit in asdict(measurement.units).items()]
-    for name, scale in zip(SIGMAS, sigma_units(length, force), strict=True):
+    for name, scale in zip(SIGMAS, (length, force, length * force), strict=True):
         value = getattr(measurement, name)
         if value is not None:
-            lines.append(f"{name} = {written(value / scale)}")
+            lines.append(f"{name} = {_cells([value / scale])}")
     if measurement.scale_sigma is not None:
-        lines.append(f"scale_sigma = {written(measurement.scale_sigma)}")
+        lines.append(f"scale_sigma = {_cells([measurement.scale_sigma])}")
     lines += ["scale_of_gripper = true"] if measurement.scale_of_gripper else []
-    if measurement.cloud is not None and measurement.cloud.camera is not None:
-        place = ", ".join(f"{v / length:.12g}" for v in measurement.cloud.camera)
-        surface = ["", "[surface.camera]", f"position = [{place}]"]
-    else:
-        surface = []
     if measurement.description:
         escaped = measurement.description.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
         lines.append(f'description = "{escaped}"')
-    return [*lines, *surface]
+    if measurement.cloud is not None and measurement.cloud.camera is not None:
+        lines += ["", "[surface.camera]", f"position = [{_cells(measurement.cloud.camera / length)}]"]
+    return lines
+
+
+def _cells(values: Iterable[float]) -> str:
+    """Numbers as the tables have them; nothing for NaN."""
+    return ",".join("" if math.isnan(value) else f"{value:.12g}" for value in values)

@@ -6,21 +6,17 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from bcid.base.errors import InputError, Problems
+from bcid.base.errors import InputError
 from bcid.measurement.contents import WRENCH
-from bcid.measurement.csv_rows import csv_rows, numbers, require
-
-if TYPE_CHECKING:
-    from bcid.measurement.tracks import Tracks
+from bcid.measurement.tracks import Rows, Tracks
 
 Array = NDArray[np.float64]
-KEYS = ("file", "wrench", "time", "way", "offset")
 # A gripper goes back where its way falls by more than this part of the furthest; clocks agree where ways differ by less (RMS).
 _BACK, _AGREES = 0.05, 0.1
 # Offsets that are tried, over both durations, before the best is refined; and the part of the frames that must be in the record.
@@ -59,17 +55,18 @@ class ForceRecording:
             InputError: with every problem of the file.
         """
         path = folder / str(told["file"])
-        rows, problems = csv_rows(path, delimiter), Problems(f"recording {path}")
+        rows = Rows.read(path, delimiter, decimal)
         clocks = [str(told.get(key, "")) for key in ("time", "way")]
         columns = [*told["wrench"], *clocks]
-        require(path, rows, columns, problems)
-        values = numbers(path, rows, columns, decimal, problems)
-        problems.raise_if_any()
+        rows.require(columns)
+        values = rows.numbers(columns)
+        rows.problems.raise_if_any()
         wrench = values[:, : len(WRENCH)]
         time, way = (values[:, len(WRENCH) + i] if name else None for i, name in enumerate(clocks))
+        way = None if way is None else np.abs(way - way[0])
         offset = told.get("offset", None if way is not None else 0.0)
         if time is not None and (back := np.flatnonzero(np.diff(time) < 0)).size:
-            raise InputError(f"{path}: {told['time']}: the times go back in line {rows[int(back[0]) + 1][0]}")
+            raise InputError(f"{path}: {told['time']}: the times go back in line {rows.rows[int(back[0]) + 1][0]}")
         return cls(path, wrench, time, way, None if offset is None else float(offset))
 
     def at(self, recording: Tracks) -> Array:
@@ -79,15 +76,11 @@ class ForceRecording:
             InputError: the way of the gripper does not tell which sample belongs to a frame.
         """
         if self.time is None:
-            return self._between(self._rising(self._way_of(recording)), np.maximum.accumulate(self._own_way))
+            assert self.way is not None
+            return self._between(self._rising(self._way_of(recording)), np.maximum.accumulate(self.way))
         times = np.array(recording.times, dtype=float)
         offset = self._offset(times, self._way_of(recording)) if self.offset is None else self.offset
         return self._between(times + offset, self.time)
-
-    @property
-    def _own_way(self) -> Array:
-        assert self.way is not None
-        return np.abs(self.way - self.way[0])
 
     def _between(self, wanted: Array, known: Array) -> Array:
         found = [np.interp(wanted, known, column, left=np.nan, right=np.nan) for column in self.wrench.T]
@@ -113,7 +106,8 @@ class ForceRecording:
     def _offset(self, times: Array, way: Array) -> float:
         """What makes both ways agree best, at least half of the frames being in the record."""
         assert self.time is not None
-        own, clock = self._own_way, self.time
+        assert self.way is not None
+        own, clock = self.way, self.time
 
         def misses(offset: float) -> float:
             apart = np.interp(times + offset, clock, own, left=np.nan, right=np.nan) - way
@@ -134,34 +128,3 @@ class ForceRecording:
                 "check length_unit and time_unit, or give force.offset"
             )
         return offset
-
-
-def check_force(path: Path, table: dict[str, Any], columns: dict[str, Any], clocked: bool, problems: Problems) -> None:
-    """What is wrong with [force] of a mapping; `clocked`: whether the images have times."""
-    problems.add_unknown(path, table, KEYS, "force.{}: unknown key; {}".format)
-    if not isinstance(table.get("file"), str) or not table["file"]:
-        problems.add(path, f"force.file: expected the name of a table beside the mapping, found {table.get('file')!r}")
-    wrench = table.get("wrench")
-    if not (
-        isinstance(wrench, list)
-        and len(wrench) == len(WRENCH)
-        and all(isinstance(w, str) for w in wrench)
-        and any(wrench)
-    ):
-        problems.add(path, f'force.wrench: expected six columns, "" for one that was not measured, found {wrench!r}')
-    for key in ("time", "way"):
-        if key in table and not (isinstance(table[key], str) and table[key]):
-            problems.add(path, f"force.{key}: expected the name of a column, found {table[key]!r}")
-    if not {"time", "way"} & set(table):
-        problems.add(path, 'force: name its column of time, or of the way of the gripper, as way = "crosshead"')
-    offset = table.get("offset")
-    if offset is not None and (
-        isinstance(offset, bool) or not isinstance(offset, int | float) or not math.isfinite(offset)
-    ):
-        problems.add(path, f"force.offset: expected a number in time_unit, found {offset!r}")
-    if offset is not None and "time" not in table:
-        problems.add(path, "force.offset: is one of clocks; give force.time too")
-    if "time" in table and not clocked:
-        problems.add(path, "force.time: the frames of the images have no times; give columns.time or rate")
-    if "wrench" in columns:
-        problems.add(path, "force: stands beside columns.wrench; leave one of them out")

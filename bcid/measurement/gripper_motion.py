@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from scipy.special import logsumexp
+from scipy.special import softmax
 
 from bcid.measurement.slips import FACTORS, permutations
 
@@ -36,67 +36,64 @@ _MOST_NUMBERS = 15.0
 
 
 @dataclass(frozen=True)
-class GripperSlip:
-    """What the gripper's poses look like, and with what probability something is wrong with them."""
+class GripperPoses:
+    """Poses of the gripper, beside where fiducials at `rest` (n, 3) and the centres of grasps are in the scene.
 
-    probability: float
-    text: str
-
-
-def gripper_slips(
-    actions: Sequence[Action],
-    positions: Array,
-    rest: Array,
-    centres: Mapping[str, Array],
-    size: float,
-    noise: float,
-    slip: float,
-) -> GripperSlip | None:
-    """The slip in the gripper's poses that is likeliest; None where no fiducial tells.
-
-    Args:
-        positions: of the fiducials, shape (frames, n, 3), m; `rest`: in the scene, shape (n, 3), m.
-        centres: of the grasps, m.
-        noise: of a coordinate, m; `size`: of the body, m; `slip`: prior probability of a slip.
+    `size` is that of the body, `noise` the standard deviation of a coordinate; all in m.
     """
-    pulls = _pulls(actions, positions, rest, centres)
-    if not pulls:
-        return None
-    axes, factors = permutations(), [(_factor_text(f), np.diag(np.full(3, 1.0 / f))) for f in FACTORS]
-    tried: list[tuple[str, Array]] = [("", np.eye(3)), *axes, *factors]
-    prior = [math.log1p(-slip)] + [math.log(slip / 2 / len(kind)) for kind in (axes, factors) for _ in kind]
-    evidence = np.array([_evidence(pulls, undo, size, noise) for _, undo in tried])
-    posterior = evidence + prior
-    shares = np.exp(posterior - logsumexp(posterior))
-    order = np.argsort(-shares[1:], kind="stable")[:3] + 1
-    texts = [tried[i][0] for i in order if shares[i] > 0.2 * shares[order[0]]]
-    return GripperSlip(float(1 - shares[0]), " or ".join(texts))
 
+    actions: Sequence[Action]
+    rest: Array
+    centres: Mapping[str, Array]
+    size: float
+    noise: float
 
-def whole_file(
-    actions: Sequence[Action],
-    mended: Array,
-    rest: Array,
-    centres: Mapping[str, Array],
-    size: float,
-    noise: float,
-    undo: Array,
-) -> bool | None:
-    """Whether what mends the positions mends the gripper's poses too; None where that is not told."""
-    pulls = _pulls(actions, mended, rest, centres)
-    if not pulls:
-        return None
-    alike = _evidence(pulls, undo, size, noise) - _evidence(pulls, np.eye(3), size, noise)
-    # Odds of 10 are enough for a remark.
-    return None if abs(alike) < math.log(10.0) else bool(alike > 0)
+    def slip(self, positions: Array, prior: float) -> tuple[float, str]:
+        """With what probability something is wrong with the poses, by positions (frames, n, 3), and what it looks like.
 
+        Args:
+            positions: of the fiducials; without any near a grasp nothing is wrong.
+            prior: probability of a slip.
+        """
+        pulls = self._pulls(positions)
+        if not pulls:
+            return 0.0, ""
+        text, axes = "all lengths look {:g} times too {}".format, permutations()
+        sizes = [text(f, "large") if f > 1 else text(1 / f, "small") for f in FACTORS]
+        factors: list[tuple[str, Array]] = [
+            (s, np.diag(np.full(3, 1.0 / f))) for s, f in zip(sizes, FACTORS, strict=True)
+        ]
+        tried = [("", np.eye(3)), *axes, *factors]
+        known = [math.log1p(-prior)] + [math.log(prior / 2 / len(kind)) for kind in (axes, factors) for _ in kind]
+        shares = softmax(
+            np.array([_evidence(pulls, undo, self.size, self.noise) for _, undo in tried]) + np.array(known)
+        )
+        order = np.argsort(-shares[1:], kind="stable")[:3] + 1
+        texts = [tried[i][0] for i in order if shares[i] > 0.2 * shares[order[0]]]
+        return float(1 - shares[0]), " or ".join(texts)
 
-def _factor_text(factor: float) -> str:
-    return (
-        f"all lengths look {factor:g} times too large"
-        if factor > 1
-        else f"all lengths look {1 / factor:g} times too small"
-    )
+    def mended_by(self, undo: Array, mended: Array, noise: float) -> bool | None:
+        """Whether what mends positions (frames, n, 3), `undo` (3, 3), mends the poses too; None where that is not told."""
+        pulls = self._pulls(mended)
+        if not pulls:
+            return None
+        alike = _evidence(pulls, undo, self.size, noise) - _evidence(pulls, np.eye(3), self.size, noise)
+        # Odds of 10 are enough for a remark.
+        return None if abs(alike) < math.log(10.0) else bool(alike > 0)
+
+    def _pulls(self, positions: Array) -> list[_Pull]:
+        found = []
+        for action in self.actions:
+            seen = positions[action.frames]
+            whole = np.flatnonzero(np.isfinite(seen).all(axis=(0, 2)))
+            if not action.grasp or not action.translation.any() or not len(whole):
+                continue
+            arms = self.rest[whole] - self.centres[action.grasp]
+            near = np.argsort(np.linalg.norm(arms, axis=1), kind="stable")[:_NEAREST]
+            here = np.clip(seen[:, whole[near]], -1e9, 1e9)
+            translation = np.clip(action.translation, -1e9, 1e9)
+            found.append(_Pull(here - here[0], arms[near], translation, action.rotation))
+        return found
 
 
 @dataclass(frozen=True)
@@ -107,21 +104,6 @@ class _Pull:
     arms: Array
     translation: Array
     rotation: Array
-
-
-def _pulls(actions: Sequence[Action], positions: Array, rest: Array, centres: Mapping[str, Array]) -> list[_Pull]:
-    found = []
-    for action in actions:
-        seen = positions[action.frames]
-        whole = np.flatnonzero(np.isfinite(seen).all(axis=(0, 2)))
-        if not action.grasp or not action.translation.any() or not len(whole):
-            continue
-        arms = rest[whole] - centres[action.grasp]
-        near = np.argsort(np.linalg.norm(arms, axis=1), kind="stable")[:_NEAREST]
-        here = np.clip(seen[:, whole[near]], -1e9, 1e9)
-        translation = np.clip(action.translation, -1e9, 1e9)
-        found.append(_Pull(here - here[0], arms[near], translation, action.rotation))
-    return found
 
 
 def _evidence(pulls: Sequence[_Pull], undo: Array, size: float, noise: float) -> float:

@@ -2,29 +2,38 @@
 
 from __future__ import annotations
 
+import itertools
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from scipy.special import softmax
 
 from bcid.base.errors import InputError, Problems, nearest
 from bcid.base.units import percent
-from bcid.measurement.alignment import align
-from bcid.measurement.contents import AXES, SIGMAS, WRENCH, Contents, Units, frames_dataset, sigma_units, with_sigmas
+from bcid.measurement.contents import WRENCH, Contents, Units, frames_dataset, with_noise
 from bcid.measurement.folder import read_grasps
 from bcid.measurement.force_recording import ForceRecording
-from bcid.measurement.mapped_points import read_points_of
-from bcid.measurement.mapped_table import read_table
 from bcid.measurement.mapping import Mapping, read_mapping
-from bcid.measurement.slips import rigid_motion
-from bcid.measurement.tracks import Tracks, select
+from bcid.measurement.slips import FACTORS, rigid_motion
+from bcid.measurement.tracks import Tracks, read_points_of, read_table
 
 Array = NDArray[np.float64]
 
 # Coordinates above this, in length_unit, are taken for it, so that they can be turned.
 _FAR = 1e100
+# Prior probability that markers to align by were confused, and the certainties above which that is refused or said.
+_SLIP, _REFUSED, _SAID = 0.01, 0.99, 0.5
+# How well people know where markers stand, part of their span.
+_PLACED = 0.01
+# A rigid motion that misses its markers by more than this part of their span (RMS) is none; half as much is said.
+_LIMIT = 0.2
+# A marker further away than this many spans is none.
+_FURTHEST = 1e12
 # Cosine of the angle by which what was not measured may be off an axis of the body frame: 2.6 degrees.
 _STRAIGHT = 0.999
 # Markers that tell a rigid motion, and by which part of their span (RMS) they may miss it.
@@ -39,7 +48,7 @@ def read_mapped(path: Path) -> Contents:
     """
     mapping = read_mapping(path)
     recording = read_points_of(mapping) if mapping.labelled else read_table(mapping)
-    select(recording, _chosen(mapping), mapping.file)
+    recording.select(mapping.frames, mapping.file)
     if not recording.actions:
         raise InputError(f"{path}: frames: no frame of {mapping.file.name} is left; check first, last and every")
     if mapping.pixel is not None:
@@ -58,14 +67,6 @@ def read_mapped(path: Path) -> Contents:
     return _contents(recording, mapping)
 
 
-def _chosen(mapping: Mapping) -> tuple[int, int | None, int, int | None]:
-    """First and last frame, step, and frame of rest, where the state of reference stands before those of the file."""
-    first, last, every, rest = mapping.frames
-    if not mapping.from_reference:
-        return first, last, every, rest
-    return first + 1, None if last is None else last + 1, every, 0
-
-
 def _to_body_frame(recording: Tracks, mapping: Mapping) -> tuple[Array, Array]:
     """Apply the rigid motion that takes the markers of `align`, in the first frame, to where they are said to be; returns it."""
     if not mapping.align:
@@ -78,22 +79,73 @@ def _to_body_frame(recording: Tracks, mapping: Mapping) -> tuple[Array, Array]:
             values[np.isfinite(values).any(axis=1), axis] = 0.0
     here = np.array([recording.positions[name][0] for name in names]).reshape(-1, 3)
     there = np.array([mapping.align[name] for name in names]).reshape(-1, 3)
-    if len(names) < 3 or not np.isfinite(here).all():
-        raise InputError(
-            f"{mapping.path}: align: its markers must all be seen in the first frame, with all three coordinates"
-        )
     try:
-        fit = align(here, there, names)
+        recording.remarks += _oddities(here, there, names)
     except InputError as error:
         raise InputError(f"{mapping.path}: align: {error}") from None
-    recording.remarks += fit.remarks
-    recording.aligned = fit.rms * mapping.length
-    gone = [_along(fit.turn[:, axis], mapping) for axis in unseen]
+    recording.aligned = _misfit(here, there) * mapping.length
+    turn, shift = rigid_motion(here, there)
+    gone = [_along(turn[:, axis], mapping) for axis in unseen]
     for name, values in recording.positions.items():
-        turned = np.clip(values, -_FAR, _FAR) @ fit.turn.T + fit.shift
+        turned = np.clip(values, -_FAR, _FAR) @ turn.T + shift
         turned[:, gone] = np.nan
         recording.positions[name] = turned
-    return fit.turn, fit.shift
+    return turn, shift
+
+
+def _oddities(here: Array, there: Array, names: Sequence[str]) -> list[str]:
+    """What is odd about the rigid motion from markers seen at `here` to where they are said to be, `there`, (n, 3), in one unit.
+
+    Raises:
+        InputError: they are too few, stand on one line, or cannot be brought onto each other.
+    """
+    if len(names) < 3 or not np.isfinite(here).all():
+        raise InputError("its markers must all be seen in the first frame, with all three coordinates")
+    span = max(float(np.linalg.norm(np.ptp(there, axis=0))), 1e-300)
+    if (np.abs(here) > _FURTHEST * span).any():
+        furthest = names[int(np.abs(here).max(axis=1).argmax())]
+        raise InputError(f"marker {furthest} is absurdly far away in the first frame")
+    sizes = np.linalg.svd((here - here.mean(axis=0)).T @ (there - there.mean(axis=0)), compute_uv=False)
+    if sizes[1] < 1e-9 * sizes[0]:
+        raise InputError("its markers stand on one line; choose others")
+    rms = _misfit(here, there)
+    told = f"the rigid motion misses its markers by {rms:.3g} (RMS distance), where they span {span:.3g}"
+    chance, text = _confused(here, there, names, span)
+    if chance > _REFUSED:
+        raise InputError(f"{told}: {text}")
+    if chance > _SAID:
+        return [f"align: {told}: {text}"]
+    if rms > _LIMIT * span:
+        rule = "check the places and the markers, which must be those of the first frame, and length_unit"
+        raise InputError(f"{told}: {rule}")
+    return [f"align: {told}"] if rms > 0.5 * _LIMIT * span else []
+
+
+def _misfit(here: Array, there: Array) -> float:
+    """RMS distance that the best rigid motion leaves."""
+    turn, shift = rigid_motion(here, there)
+    return float(np.sqrt(np.mean(np.sum((here @ turn.T + shift - there) ** 2, axis=1))))
+
+
+def _confused(here: Array, there: Array, names: Sequence[str], span: float) -> tuple[float, str]:
+    """With what probability the markers were confused, and how; the scale of the misfit is not known."""
+    tried = list(_confusions(here, there, names))
+    left = np.array([_misfit(here, there), *(misfit for _, misfit in tried)])
+    evidence = -0.5 * (3 * len(here) - 6) * np.log(left**2 + (_PLACED * span) ** 2)
+    prior = np.array([math.log1p(-_SLIP), *([math.log(_SLIP / len(tried))] * len(tried))])
+    shares = softmax(evidence + prior)
+    return float(1 - shares[0]), tried[int(shares[1:].argmax())][0]
+
+
+def _confusions(here: Array, there: Array, names: Sequence[str]) -> Iterator[tuple[str, float]]:
+    for i, j in itertools.combinations(range(len(here)), 2):
+        order = list(range(len(here)))
+        order[i], order[j] = j, i
+        yield f"markers {names[i]} and {names[j]} look swapped", _misfit(here[order], there)
+    for factor in FACTORS:
+        many = f"{factor:g} times too small" if factor > 1 else f"{1 / factor:g} times too large"
+        yield f"the places of [align] look {many}: they are in length_unit", _misfit(here, there * factor) / factor
+    yield "the axes look reversed (another handedness): write one of them with the other sign", _misfit(-here, there)
 
 
 def _unmeasured(recording: Tracks) -> list[int]:
@@ -131,8 +183,7 @@ def _relative(recording: Tracks, pose: Array, mapping: Mapping, turn: Array, shi
         raise InputError(f"{mapping.file}: columns.pose: expected x, y, z and a unit quaternion (w, x, y, z)")
     place = pose[:, :3] @ turn.T + shift
     angle = Rotation.from_matrix(turn) * Rotation.from_quat(pose[:, 3:], scalar_first=True)
-    start = {action: i for i, action in reversed(list(enumerate(recording.actions)))}
-    rest = np.array([start[action] for action in recording.actions])
+    rest = recording.rest
     moved = angle * angle[rest].inv()
     centre = np.array(mapping.table["grasp_centre"], dtype=float) if "grasp_centre" in mapping.table else place[rest]
     recording.translation = moved.apply(centre - place[rest]) + place - centre
@@ -158,20 +209,19 @@ def _follow(recording: Tracks, mapping: Mapping) -> None:
             f"{recording.steps[frame]} of action {recording.actions[frame]}; choose other frames by [frames]"
         )
     centre, misses = np.array(mapping.table["grasp_centre"], dtype=float), []
-    start = {action: i for i, action in reversed(list(enumerate(recording.actions)))}
     recording.translation, turns = np.zeros((len(seen), 3)), []
-    for i, action in enumerate(recording.actions):
-        both = np.flatnonzero(~(lost[i] | lost[start[action]]))
-        here, there = seen[start[action]][both], seen[i][both]
+    for i, rest in enumerate(recording.rest):
+        both = np.flatnonzero(~(lost[i] | lost[rest]))
+        here, there = seen[rest][both], seen[i][both]
         span = float(np.linalg.norm(np.ptp(here, axis=0))) if len(both) else 0.0
         if len(both) < _RIGID or np.linalg.svd(here - here.mean(axis=0), compute_uv=False)[1] < 1e-6 * span:
             raise InputError(
-                f"{mapping.file}: gripper: its markers stand on one line in action {action}; choose others"
+                f"{mapping.file}: gripper: its markers stand on one line in action {recording.actions[i]}; choose others"
             )
-        turn, shift = rigid_motion(here, there) if i > start[action] else (np.eye(3), np.zeros(3))
+        turn, shift = rigid_motion(here, there) if i > rest else (np.eye(3), np.zeros(3))
         recording.translation[i] = turn @ centre + shift - centre
         turns.append(turn)
-        misses.append(float(np.sqrt(np.mean(np.sum((here @ turn.T + shift - there) ** 2, axis=1)))) / span)
+        misses.append(_misfit(here, there) / span)
     if max(misses) > _GIVES:
         raise InputError(
             f"{mapping.file}: gripper: its markers do not move as one rigid body: they are off by {percent(max(misses))} of "
@@ -202,19 +252,12 @@ def _contents(recording: Tracks, mapping: Mapping) -> Contents:
             raise InputError(f"{mapping.file}: columns.rotation: expected unit quaternions (w, x, y, z)")
         data["rotation"] = (("frame", "quaternion"), recording.rotation / norms)
     if recording.wrench is not None:
-        torque = mapping.force * mapping.length
-        data["wrench"] = (("frame", "component"), recording.wrench * ([mapping.force] * 3 + [torque] * 3))
+        units = [mapping.force] * 3 + [mapping.force * mapping.length] * 3
+        data["wrench"] = (("frame", "component"), recording.wrench * units)
         data = data.assign_coords(component=WRENCH)
-    units = dict(zip(SIGMAS, sigma_units(mapping.length, mapping.force), strict=True))
-    each = mapping.table.get("noise_sigma")
-    if isinstance(each, list):
-        data = with_sigmas(data, [one * mapping.length for one in each])
-        units.pop("noise_sigma")
-    sigmas = {name: float(mapping.table[name]) * unit for name, unit in units.items() if name in mapping.table}
-    noise_sigma, wrench_sigma, torque_sigma = map(sigmas.get, SIGMAS)
-    text, source = str(mapping.table.get("description", "")), str(mapping.path)
-    data = data.assign_coords(axis=AXES)
-    known = Contents(data, noise_sigma, wrench_sigma, mapping.units, text, source, torque_sigma=torque_sigma)
+    data, noise = with_noise(data, mapping.sigmas[0])
+    about = mapping.units, str(mapping.table.get("description", "")), str(mapping.path)
+    known = Contents(data, noise, mapping.sigmas[1], *about, torque_sigma=mapping.sigmas[2])
     sigma = mapping.table["pixels"].get("uncertainty")
     if sigma is not None:
         known = replace(known, scale_sigma=float(sigma), scale_of_gripper=bool(mapping.table.get("gripper")))
@@ -227,30 +270,25 @@ def take_grasps(recording: Tracks, path: Path, units: Units) -> None:
     Raises:
         InputError: the file is damaged, or has other actions or steps than the recording.
     """
-    actions = {action.name: action for action in read_grasps(path, units)}
+    actions = read_grasps(path, units)
     problems = Problems(f"motions {path}")
     frames = list(zip(recording.actions, recording.steps, strict=True))
-    for name, action in actions.items():
-        own = {step for other, step in frames if other == name}
+    for action in actions:
+        known, own = {int(step) for step in action.steps}, {step for other, step in frames if other == action.name}
         if not own:
-            problems.add(
-                path, f"action '{name}' is not in the recording; {nearest(name, dict.fromkeys(recording.actions))}"
-            )
+            hint = nearest(action.name, dict.fromkeys(recording.actions))
+            problems.add(path, f"action '{action.name}' is not in the recording; {hint}")
             continue
-        known = {int(step) for step in action.steps}
-        missing, more = own - known, known - own
-        for steps, said in (
-            (missing, "no pose for step {}"),
-            (more, "a pose for step {}, which the recording has not"),
-        ):
+        missing, more = "no pose for step {}", "a pose for step {}, which the recording has not"
+        for steps, said in ((own - known, missing), (known - own, more)):
             if steps:
                 few = ", ".join(map(str, sorted(steps)[:5])) + (", ..." if len(steps) > 5 else "")
-                text = f"action {name}: holds {said.format(few)}; steps count the frames that are used, from rest, which is 0"
-                problems.add(path, text)
+                rule = "steps count the frames that are used, from rest, which is 0"
+                problems.add(path, f"action {action.name}: holds {said.format(few)}; {rule}")
     problems.raise_if_any()
     poses = {
-        (name, int(step)): (action.grasp, *pose)
-        for name, action in actions.items()
+        (action.name, int(step)): (action.grasp, *pose)
+        for action in actions
         for step, *pose in zip(action.steps, action.translation, action.rotation, strict=True)
     }
     still = "", np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])

@@ -18,15 +18,14 @@ from numpy.typing import NDArray
 
 from bcid.base.errors import InputError, Problems
 from bcid.base.fingerprint import fingerprint
-from bcid.base.units import LEAST_SIGMA, measurable, unit_factor, with_units
-from bcid.measurement.cloud import Cloud
-from bcid.measurement.contents import FORMAT, SIGMAS, Contents, Units
+from bcid.base.units import LEAST_SIGMA, measurable, with_units
+from bcid.measurement.contents import FORMAT, SIGMAS, Cloud, Contents, Units
 from bcid.measurement.folder import read_folder
 from bcid.measurement.folder_writer import write_folder
 from bcid.measurement.frame_error import FrameError
 from bcid.measurement.mapped import read_mapped
 from bcid.measurement.plausibility import examine
-from bcid.measurement.scale import SCALE_KEYS, check_scale, checked_scale
+from bcid.measurement.stated import SCALE_KEYS, Stated
 
 if TYPE_CHECKING:
     from bcid.scene import Scene
@@ -92,30 +91,31 @@ class Measurement(Contents):
         attrs, data.attrs = dict(data.attrs), {}
         if attrs.get("format") != FORMAT:
             raise InputError(f"{path}: expected format '{FORMAT}', found {attrs.get('format')!r}")
-        missing = [f"{name}_unit" for name in ("length", "time", "force") if f"{name}_unit" not in attrs]
+        stated = ("length_unit", "time_unit", "force_unit")
+        missing = [name for name in stated if name not in attrs]
         if missing:
             raise InputError(f"{path}: its attributes lack {', '.join(missing)}")
         for name in ("action", "grasp", "fiducial", "axis", "component", "place", "quaternion"):
             if name in data:
                 data[name] = data[name].astype(str)
-        units = Units(*(str(attrs[f"{name}_unit"]) for name in ("length", "time", "force")))
-        for name, like in (("length", "m"), ("time", "s"), ("force", "N")):
-            unit_factor(getattr(units, name), like)
+        units = Units(*(str(attrs[name]) for name in stated))
+        # Refuses units that are none.
+        _ = units.factors
         noise, force, torque = (float(attrs[name]) if name in attrs else None for name in SIGMAS)
         cloud, data = Cloud.taken(data)
         if cloud is not None and "fiducial" not in data.dims:
             data = data.assign_coords(fiducial=[])
             data["position"] = (("frame", "fiducial", "axis"), np.zeros((data.sizes["frame"], 0, 3)))
-        centre, covariance = attrs.get("frame_centre"), attrs.get("frame_covariance")
         of_frame = None
-        if centre is not None or covariance is not None:
+        if {"frame_centre", "frame_covariance"} & set(attrs):
             problems = Problems(f"measurement {path}")
-            of_frame = FrameError.checked(centre, covariance, path, problems)
+            numbers = attrs.get("frame_centre"), attrs.get("frame_covariance")
+            of_frame = FrameError.checked(*numbers, path, problems)
             problems.raise_if_any()
-        text = str(attrs.get("description", ""))
-        scale = attrs.get("scale_sigma"), bool(attrs.get("scale_of_gripper", False))
-        about = cls(data, noise, force, units, text, str(path), of_frame, torque_sigma=torque, cloud=cloud)
-        return replace(about, scale_sigma=scale[0], scale_of_gripper=scale[1]).validated()
+        about = units, str(attrs.get("description", "")), str(path), of_frame
+        found = cls(data, noise, force, *about, torque_sigma=torque, cloud=cloud)
+        of_gripper = bool(attrs.get("scale_of_gripper", False))
+        return replace(found, scale_sigma=attrs.get("scale_sigma"), scale_of_gripper=of_gripper).validated()
 
     def validated(self) -> Measurement:
         """This measurement with its dimensions in order, or an `InputError` with everything that is wrong with it.
@@ -130,8 +130,7 @@ class Measurement(Contents):
             value = getattr(self, name)
             if value is not None and not measurable(value):
                 problems.add(self.source, f"{name}: expected a positive number from {LEAST_SIGMA:g}, found {value!r}")
-        sigma = checked_scale(Path(self.source), vars(self), problems)
-        checked = replace(checked, scale_sigma=sigma)
+        checked = replace(checked, scale_sigma=Stated(Path(self.source), problems).scale(vars(self)))
         if checked.cloud is None and not np.isfinite(checked.positions).any():
             problems.add(self.source, "holds no position: no fiducial was ever seen")
         for action in checked.action_names:
@@ -144,19 +143,18 @@ class Measurement(Contents):
         rows = self.data.isel(frame=np.flatnonzero(self.data["action"].values.astype(str) == name))
         translation, rotation = (np.asarray(rows[key].values, dtype=float) for key in ("translation", "rotation"))
         steps, times = rows["step"].values, rows["time"].values
+        grasps, lengths = set(rows["grasp"].values.astype(str)), np.linalg.norm(rotation, axis=1)
+        moved = np.abs(translation[0]).max() > 1e-6 or abs(rotation[0, 0]) < 1 - 1e-6
         wrong = {
             "its steps must rise from 0": steps[0] != 0 or (np.diff(steps) <= 0).any(),
             "its times must be finite and not go back": not np.isfinite(times).all() or (np.diff(times) < 0).any(),
-            "it uses more than one grasp": len(set(rows["grasp"].values.astype(str))) > 1,
+            "it uses more than one grasp": len(grasps) > 1,
             "a pose of the gripper is not finite": not (np.isfinite(translation).all() and np.isfinite(rotation).all()),
-            "a rotation is not a unit quaternion": (np.abs(np.linalg.norm(rotation, axis=1) - 1) > 1e-3).any(),
-            "at step 0 the gripper must be at rest: translation 0 0 0, rotation 1 0 0 0": np.abs(translation[0]).max()
-            > 1e-6
-            or abs(rotation[0, 0]) < 1 - 1e-6,
+            "a rotation is not a unit quaternion": (np.abs(lengths - 1) > 1e-3).any(),
+            "at step 0 the gripper must be at rest: translation 0 0 0, rotation 1 0 0 0": moved,
         }
-        for text, found in wrong.items():
-            if found:
-                problems.add(self.source, f"action {name}: {text}")
+        for text in (text for text, found in wrong.items() if found):
+            problems.add(self.source, f"action {name}: {text}")
 
     def fingerprint(self) -> str:
         """Short hash of the content; equal measurements have equal fingerprints whatever file they came from."""
@@ -187,7 +185,7 @@ class Measurement(Contents):
         """
         self.check_names(scene)
         problems = Problems(f"measurement {self.source} does not fit scene {scene.source}")
-        check_scale(scene, self, problems)
+        _check_scale(scene, self, problems)
         markers = [name for name in self.fiducial_names if name not in set(scene.surface)]
         # Marks on a surface are where the points are: they cannot be misplaced, and follow no path of their own.
         odd = examine(scene, replace(self, data=self.data.sel(fiducial=markers)), problems) if markers else []
@@ -234,3 +232,39 @@ def _in_order(data: xr.Dataset, problems: Problems, source: str) -> xr.Dataset:
         problems.add(source, "expected at least one frame, three axes and four components of a quaternion")
         problems.raise_if_any()
     return data.transpose("frame", "fiducial", "axis", "quaternion", ...)
+
+
+def scaled(scene: Scene, measurement: Contents) -> Scene:
+    """A scene with what a measurement states of the length of a pixel, which is taken before what the scene does."""
+    known = scene.uncertainty
+    sigma = known.scale if measurement.scale_sigma is None else measurement.scale_sigma
+    too = known.scale_of_gripper or measurement.scale_of_gripper
+    return replace(scene, uncertainty=replace(known, scale=sigma, scale_of_gripper=too))
+
+
+def _check_scale(scene: Scene, measurement: Contents, problems: Problems) -> None:
+    """Note where scene and measurement contradict each other in what they say of the length of a pixel."""
+    known, source = scene.uncertainty, measurement.source
+    stated = measurement.scale_sigma
+    if stated is not None and known.scale == 0:
+        problems.add(
+            source,
+            f"scale_sigma is {stated:g}, but [uncertainty] of the scene says scale = 0: its lengths share no factor with pictures. "
+            "Leave scale out of the scene where they do; otherwise leave scale_sigma out, and state the scale of the "
+            "positions alone in frame.toml",
+        )
+    if measurement.scale_of_gripper and known.scale_of_gripper is False:
+        problems.add(
+            source,
+            "the gripper's path was measured in the pictures (scale_of_gripper), but [uncertainty] of the scene says "
+            "scale_of_gripper = false; leave one of them out",
+        )
+    error = measurement.frame_error
+    if error is not None and error.covariance[6, 6] > 0 and scaled(scene, measurement).uncertainty.scale:
+        problems.add(
+            source,
+            "the scale is stated twice: of the positions alone by the error of the frame (last element of its covariance, "
+            f"{error.covariance[6, 6]:.2g}), and of all lengths from pictures (scale of [uncertainty], or scale_sigma). Set the "
+            "last row and column of the covariance to 0 where body and fiducials were measured in the same pictures; otherwise "
+            "leave the other out",
+        )

@@ -14,13 +14,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
+from scipy.special import logsumexp, softmax
 
 from bcid.base.errors import Problems
 from bcid.base.units import show, unit_factor
-from bcid.measurement.gripper_motion import gripper_slips, whole_file
-from bcid.measurement.jumps import Jump, jumps
-from bcid.measurement.slips import FAULT, Slip, slips, suspects
+from bcid.measurement.gripper_motion import GripperPoses
+from bcid.measurement.slips import FAULT, Jump, Slip, jumps, slips, suspects
 
 if TYPE_CHECKING:
     from bcid.measurement.contents import Contents
@@ -98,18 +97,11 @@ def examine(scene: Scene, measurement: Contents, problems: Problems) -> list[str
     view = _View(scene, measurement)
     found = view.too_far()
     at_rest = _at_rest(view)
-    found += at_rest
-    if not at_rest:
-        found += _gripper(view)
-        found += view.apart()
-        found += view.jumping()
-    odd = []
+    found += at_rest or [*_gripper(view), *view.apart(), *view.jumping()]
     for one in found:
         if one.probability > REFUSED:
             problems.add(measurement.source, one.text)
-        else:
-            odd.append(one.text)
-    return odd
+    return [one.text for one in found if one.probability <= REFUSED]
 
 
 class _View:
@@ -122,8 +114,7 @@ class _View:
     """
 
     def __init__(self, scene: Scene, measurement: Contents) -> None:
-        self.measurement, self.actions = measurement, measurement.actions
-        self.names = measurement.fiducial_names
+        self.actions, self.names = measurement.actions, measurement.fiducial_names
         self.rest = np.array([scene.fiducials[name] for name in self.names]).reshape(-1, 3)
         self.centres = {name: np.array(grasp.centre) for name, grasp in scene.grasps.items()}
         places = np.vstack([scene.rest, *(centre[None] for centre in self.centres.values())])
@@ -134,6 +125,7 @@ class _View:
         self.floor = float(np.hypot(PLACED * self.size, self.noise))
         self.positions = _with_unmeasured(measurement.positions, self.rest)
         self.unit = measurement.units.length
+        self.poses = GripperPoses(self.actions, self.rest, self.centres, self.size, self.noise)
 
     def written(self, value: float) -> str:
         """A length as the files have it."""
@@ -209,19 +201,16 @@ def _at_rest(view: _View) -> list[Doubt]:
     found: dict[str, tuple[Doubt, list[str]]] = {}
     fields: dict[bytes, Sag] = {}
     for action in view.actions:
-        seen = view.positions[action.frames[0]]
-        one = _first_step(view, seen, fields)
+        one = _first_step(view, view.positions[action.frames[0]], fields)
         if one is not None:
-            known = found.setdefault(one.text, (one, []))
-            known[1].append(action.name)
+            found.setdefault(one.text, (one, []))[1].append(action.name)
     told = []
     for one, names in found.values():
         shown = ", ".join(names[:6]) + (", ..." if names[6:] else "")
         which = "" if len(names) == len(view.actions) else f" of action{'s' if names[1:] else ''} {shown}"
         undo = None if one.slip is None else one.slip.undo
-        told.append(
-            Doubt(one.probability, f"at step 0{which}, {one.text}{'' if undo is None else _concerned(view, undo)}")
-        )
+        poses = "" if undo is None else _concerned(view, undo)
+        told.append(Doubt(one.probability, f"at step 0{which}, {one.text}{poses}"))
     return told
 
 
@@ -241,7 +230,8 @@ def _first_step(view: _View, seen: Array, fields: dict[bytes, Sag]) -> Doubt | N
     sag = fields.setdefault(which.tobytes(), Sag(rest, view.size, view.floor))
     tried = slips(seen, rest, names, view.size, view.floor)
     evidence = sag.log_evidence(np.stack([seen - rest, *(slip.left for slip in tried)]))
-    shares = weights(evidence, tried)
+    kinds = len({slip.kind for slip in tried}) or 1
+    shares = softmax(evidence + np.array([math.log1p(-SLIP), *(math.log(SLIP / kinds) + slip.cost for slip in tried)]))
     if shares[0] >= 1 - SAID:
         return None
     likely = sorted(zip(shares[1:], tried, strict=True), key=lambda pair: -pair[0])
@@ -255,30 +245,16 @@ def _first_step(view: _View, seen: Array, fields: dict[bytes, Sag]) -> Doubt | N
     return Doubt(float(sure), f"{_either(likely)}: {remedy}", best)
 
 
-def weights(evidence: Array, tried: Sequence[Slip]) -> Array:
-    """Posterior probabilities of no slip and of each slip, shape (1 + slips,)."""
-    kinds = len({slip.kind for slip in tried}) or 1
-    prior = [math.log1p(-SLIP), *(math.log(SLIP / kinds) + slip.cost for slip in tried)]
-    posterior = evidence + np.array(prior)
-    return np.asarray(np.exp(posterior - logsumexp(posterior)))
-
-
 def _either(likely: Sequence[tuple[float, Slip]]) -> str:
     """The slips that together make up nearly all that speaks for one, at most three."""
-    total, texts = sum(share for share, _ in likely), list[str]()
-    covered = 0.0
-    for share, slip in likely:
-        if covered > 0.8 * total or len(texts) == 3:
-            break
-        texts.append(slip.text)
-        covered += share
-    return " or ".join(dict.fromkeys(texts))
+    covered = np.cumsum([0.0, *(share for share, _ in likely)])
+    texts = [slip.text for (_, slip), before in zip(likely, covered, strict=False) if before <= 0.8 * covered[-1]]
+    return " or ".join(dict.fromkeys(texts[:3]))
 
 
 def _concerned(view: _View, undo: Array) -> str:
     """Whether what mends the fiducials, `undo` (3, 3), mends the gripper's poses too."""
-    mended = np.clip(view.positions, -1e9, 1e9) @ undo.T
-    whole = whole_file(view.actions, mended, view.rest, view.centres, view.size, view.floor, undo)
+    whole = view.poses.mended_by(undo, np.clip(view.positions, -1e9, 1e9) @ undo.T, view.floor)
     if whole is None:
         return ""
     return " (the same holds for grasps.csv)" if whole else " (of fiducials.csv alone: grasps.csv looks right)"
@@ -289,14 +265,12 @@ def _gripper(view: _View) -> list[Doubt]:
     found = [_far_pose(view, a) for a in view.actions if (np.abs(a.translation) > REACH * view.size).any()]
     if found:
         return found
-    one = gripper_slips(view.actions, view.positions, view.rest, view.centres, view.size, view.noise, SLIP)
-    if one is None or one.probability < SAID:
-        return []
+    probability, slip = view.poses.slip(view.positions, SLIP)
     text = (
-        f"the fiducials near the grasp do not go where the gripper goes: in the gripper's poses {one.text}; "
+        f"the fiducials near the grasp do not go where the gripper goes: in the gripper's poses {slip}; "
         f"write them in the frame and the length_unit ('{view.unit}') of the fiducials"
     )
-    return [Doubt(one.probability, text)]
+    return [Doubt(probability, text)] if probability >= SAID else []
 
 
 def _far_pose(view: _View, action: Action) -> Doubt:

@@ -1,4 +1,4 @@
-"""The slips that are made when a measurement is written down, and what each would have done to the fiducials at rest.
+"""Slips that are made when a measurement is written down: of fiducials at rest, and of single numbers between steps.
 
 A slip is weighed by what is left of the displacement from the scene's rest positions once it is undone.
 """
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
+from scipy.special import logsumexp
 
 Array = NDArray[np.float64]
 
@@ -26,6 +27,12 @@ _SUSPECTS = 16
 _AXES = "xyz"
 # The kind of what is no slip of writing, but a marker that is elsewhere: a body has such, and it is never refused.
 FAULT = "fault"
+# How steps differ from what their neighbours let expect: a t distribution with so many degrees of freedom ...
+_TAIL = 6.0
+# ... whose scale is the noise, this part of the body's size, and this part of how far things move in the step.
+_PART, _MOVED = 0.002, 0.3
+# Lengths above this, m, are taken for it: their squares must be numbers.
+_FAR = 1e9
 
 
 @dataclass(frozen=True)
@@ -55,11 +62,11 @@ def slips(seen: Array, rest: Array, names: Sequence[str], size: float, floor: fl
     Args:
         size: of the body; `floor`: how well positions are known, both in m, as the positions are.
     """
-    odd = suspects(seen - rest, rest)
-    kinds = [_axes(seen, rest), _factors(seen, rest), _swaps(seen, rest, names, odd)]
-    kinds += [_renamed(seen, rest, names), _turned(seen, rest, size, floor), _decimals(seen, rest, names, odd)]
-    kinds += [_faults(seen, rest, names, odd, size, floor)]
-    return [slip for kind in kinds for slip in kind]
+    odd, whole = suspects(seen - rest, rest), np.isfinite(seen).all()
+    found = [*_axes(seen, rest)] if whole else []
+    found += [*_factors(seen, rest), *_swaps(seen, rest, names, odd)]
+    found += [*_renamed(seen, rest, names), *_turned(seen, rest, size, floor)] if whole else []
+    return [*found, *_decimals(seen, rest, names, odd), *_faults(seen, rest, names, odd, size, floor)]
 
 
 def permutations() -> list[tuple[str, Array]]:
@@ -86,8 +93,6 @@ def _axis_text(order: Sequence[int], signs: Sequence[float]) -> str:
 
 
 def _axes(seen: Array, rest: Array) -> Iterator[Slip]:
-    if not np.isfinite(seen).all():
-        return
     remedy = "write the positions in the axes of the scene"
     for text, undo in permutations():
         yield Slip("axes", text, remedy, seen @ undo.T - rest, -math.log(47), undo)
@@ -122,7 +127,7 @@ def _swaps(seen: Array, rest: Array, names: Sequence[str], odd: Sequence[int]) -
 
 def _renamed(seen: Array, rest: Array, names: Sequence[str]) -> Iterator[Slip]:
     """The fiducials in another order, each nearest to where the scene has it."""
-    if len(rest) < 3 or not np.isfinite(seen).all():
+    if len(rest) < 3:
         return
     distance = np.linalg.norm(rest[:, None] - seen[None], axis=2)
     order = linear_sum_assignment(distance)[1]
@@ -136,7 +141,7 @@ def _renamed(seen: Array, rest: Array, names: Sequence[str]) -> Iterator[Slip]:
 
 def _turned(seen: Array, rest: Array, size: float, floor: float) -> Iterator[Slip]:
     """Another frame: what a rigid motion leaves. Its six numbers pay for how finely they must be chosen."""
-    if len(rest) < 4 or not np.isfinite(seen).all():
+    if len(rest) < 4:
         return
     turn, shift = rigid_motion(seen, rest)
     angle = np.degrees(np.linalg.norm(Rotation.from_matrix(turn).as_rotvec()))
@@ -191,3 +196,108 @@ def rigid_motion(here: Array, there: Array) -> tuple[Array, Array]:
     left, _, right = np.linalg.svd((here - middle).T @ (there - wanted))
     turn = (right.T * [1.0, 1.0, np.sign(np.linalg.det(right.T @ left.T))]) @ left.T
     return turn, wanted - turn @ middle
+
+
+@dataclass(frozen=True)
+class Jump:
+    """A coordinate that is not what the steps beside it let expect.
+
+    Attributes:
+        step, point, axis: where it is.
+        value, expected: what is there, and what is expected, m.
+        probability: that something is wrong with it.
+        factor: what it is to be multiplied by when a decimal point was misplaced; None where that is no explanation.
+    """
+
+    step: int
+    point: int
+    axis: int
+    value: float
+    expected: float
+    probability: float
+    factor: float | None
+
+
+def jumps(positions: Array, gripper: Array, noise: float, size: float, slip: float) -> list[Jump]:
+    """Jumps of coordinates in positions (steps, points, 3) of one action, m.
+
+    Args:
+        gripper: how far the gripper moves from each step to the next, shape (steps - 1,), m.
+        noise: standard deviation of a coordinate; `size`: of the body, m.
+        slip: prior probability that one of all coordinates is wrong.
+    """
+    if len(positions) < 3:
+        return []
+    # What is further away is no further from being right.
+    positions = np.clip(positions, -_FAR, _FAR)
+    before, after = _beside(positions)
+    low, high = np.fmin(before, after), np.fmax(before, after)
+    scale = _scale(positions, gripper, max(noise, _roughness(positions)), size)[:, None, None]
+    away = _outside(positions, low, high)
+    prior = math.log(slip / positions.size)
+    # What is within a few scales is looked at no further.
+    found = []
+    for k, i, axis in np.argwhere(np.nan_to_num(away / scale) > 5.0):
+        value, least, most = (float(one[k, i, axis]) for one in (positions, low, high))
+        spread = float(scale[k, 0, 0])
+        none, other = _log_t(float(away[k, i, axis]), spread), prior - math.log(2.0 * size)
+        misses = [float(_outside(np.float64(value * factor), least, most)) for factor in DECIMALS]
+        mended = [_log_t(miss, spread) - math.log(len(DECIMALS)) + prior for miss in misses]
+        total = float(logsumexp([none, other, *mended]))
+        probability = -math.expm1(none - total)
+        if probability > 0.5:
+            best = int(np.argmax(mended))
+            factor = DECIMALS[best] if mended[best] > other else None
+            expected = 0.5 * (least + most)
+            found.append(Jump(int(k), int(i), int(axis), value, expected, probability, factor))
+    return found
+
+
+def _outside(value: Array | np.float64, low: Array | float, high: Array | float) -> Array:
+    """How far a value is outside an interval; NaN where it is not known."""
+    return np.asarray(np.maximum(np.maximum(value - high, low - value), 0.0))
+
+
+def _beside(positions: Array) -> tuple[Array, Array]:
+    """Positions one seen step before and after, shape (steps, points, 3); at an end that is the only one there is."""
+    found = []
+    for seen in (positions, positions[::-1]):
+        beside = np.full_like(seen, np.nan)
+        for k in range(1, len(seen)):
+            beside[k] = np.where(np.isfinite(seen[k - 1]), seen[k - 1], beside[k - 1])
+        found.append(beside)
+    return found[0], found[1][::-1]
+
+
+def _roughness(positions: Array) -> float:
+    """Noise of a coordinate as the median of its second differences over the steps tells, m: single jumps do not count."""
+    bends = np.abs(np.diff(positions, n=2, axis=0))
+    known = bends[np.isfinite(bends)]
+    # Of a normal distribution half is within 0.6745 deviations; a second difference has six variances.
+    return float(np.median(known)) / (0.6745 * math.sqrt(6.0)) if len(known) > 5 else 0.0
+
+
+def _scale(positions: Array, gripper: Array, noise: float, size: float) -> Array:
+    """How far a coordinate may be from what its neighbours let expect, shape (steps,), m."""
+    change = np.abs(np.diff(positions, axis=0))
+    seen = np.isfinite(change).any(axis=(1, 2))
+    typical = np.zeros(len(change))
+    # A point that was not seen in both steps says nothing; of one, some axes alone may be known.
+    furthest = np.where(np.isnan(change[seen]), -np.inf, change[seen]).max(axis=2)
+    typical[seen] = np.nanmedian(np.where(np.isfinite(furthest), furthest, np.nan), axis=1)
+    if positions.shape[1] == 1:
+        # A single point has no neighbours: what it does in all steps tells.
+        typical[:] = np.median(typical)
+    moves = np.maximum(typical, gripper)
+    padded = np.concatenate([[0.0], moves, [0.0]])
+    largest = np.maximum(padded[:-1], padded[1:])
+    # At the ends there is one neighbour only: the whole motion may be missing.
+    factors = np.full(len(positions), _MOVED)
+    factors[[0, -1]] = 1.0
+    return np.asarray(noise + _PART * size + factors * largest)
+
+
+def _log_t(value: float, scale: float) -> float:
+    """Logarithm of the density of a t distribution."""
+    normal = math.lgamma((_TAIL + 1) / 2) - math.lgamma(_TAIL / 2) - 0.5 * math.log(_TAIL * math.pi) - math.log(scale)
+    return normal - 0.5 * (_TAIL + 1) * math.log1p((value / scale) ** 2 / _TAIL)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from bcid.base.confined import read_in_child
 from bcid.base.errors import InputError, Problems
-from bcid.base.units import unit_factor, usable
-from bcid.measurement.cloud import Cloud, Frame
+from bcid.base.units import unit_factor
+from bcid.measurement.contents import Cloud, Frame
 from bcid.measurement.formats.cloud_file import CLOUDS, DEPTHS
+from bcid.measurement.stated import Stated, is_number
 from bcid.scene.rotation import as_rotation
 
 Array = NDArray[np.float64]
@@ -59,45 +60,35 @@ class SurfaceFiles:
 
         What is wrong is noted among the problems.
         """
-        if not isinstance(table, Mapping):
-            problems.add(file, f"surface: expected a table [surface], found {table!r}")
+        check = Stated(file, problems)
+        if not check.expect(isinstance(table, Mapping), "surface", "a table [surface]", table):
             return None
-        before, check = len(problems.found), _Check(file, problems)
-        problems.add_unknown(file, table, _KEYS, "[surface]: unknown key '{}'; {}".format)
-        camera = table.get("camera", {})
-        camera = camera if isinstance(camera, Mapping) else {}
-        problems.add_unknown(file, camera, (*_LENS, *_POSE), "[surface.camera]: unknown key '{}'; {}".format)
+        before, check = len(problems.found), replace(check, prefix="surface.")
+        check.only(table, _KEYS)
+        camera, lens_check = check.table(table, "camera"), replace(check, prefix="surface.camera.")
+        lens_check.only(camera, (*_LENS, *_POSE))
         named = [key for key in ("clouds", "depth") if isinstance(table.get(key), str)]
         if len(named) > 1 or not (named or camera):
-            problems.add(
-                file,
-                '[surface]: expected clouds = "clouds/{step}.ply", depth = "depth/{step}.png", or where the camera is',
-            )
+            text = 'expected clouds = "clouds/{step}.ply", depth = "depth/{step}.png", or where the camera is'
+            problems.add(file, f"[surface]: {text}")
             return None
         depth = named == ["depth"]
-        lens = [check.numbers(camera, key, 1, [math.nan]) for key in _LENS] if depth else []
-        for key, values in zip(_LENS, lens, strict=False):
-            if math.isnan(values[0]) or (key in ("fx", "fy") and values[0] <= 0):
-                problems.add(file, f"[surface.camera]: {key} is needed for depth images, in pixels")
-        sigma = check.numbers(table, "sigma", 1, [math.nan])[0]
-        if sigma <= 0:
-            problems.add(file, f"[surface]: sigma: expected a positive number, found {sigma}")
-        rotation = check.numbers(camera, "rotation", 4, [1.0, 0.0, 0.0, 0.0])
-        if abs(math.hypot(*rotation) - 1) > 1e-3:
-            problems.add(file, "[surface.camera]: rotation: expected a unit quaternion, as [1, 0, 0, 0] (w first)")
-        found = cls(
-            str(table[named[0]]) if named else "",
-            depth,
-            check.unit(table.get("unit"), length),
-            sigma * length,
-            check.box(table.get("box")) * length,
-            tuple(values[0] for values in lens),
-            np.array(check.numbers(camera, "position", 3, [0.0] * 3)) * length,
-            np.array(rotation),
-            "position" in camera or depth,
-        )
+        lens = [_numbers(lens_check, camera, key, 1, [math.nan])[0] for key in _LENS] if depth else []
+        for key, value in zip(_LENS, lens, strict=False):
+            if math.isnan(value) or (key in ("fx", "fy") and value <= 0):
+                lens_check.bad(key, "is needed for depth images, in pixels")
+        sigma = _numbers(check, table, "sigma", 1, [math.nan])[0]
+        check.expect(not sigma <= 0, "sigma", "a positive number", sigma)
+        rotation = _numbers(lens_check, camera, "rotation", 4, [1.0, 0.0, 0.0, 0.0])
+        unit_length = abs(math.hypot(*rotation) - 1) <= 1e-3
+        lens_check.expect(unit_length, "rotation", "a unit quaternion, as [1, 0, 0, 0] (w first)", rotation)
+        pattern = str(table[named[0]]) if named else ""
         if named:
-            check.pattern(found.pattern, DEPTHS if depth else CLOUDS)
+            _check_pattern(check, named[0], pattern, DEPTHS if depth else CLOUDS)
+        unit, box = _unit(check, table.get("unit"), length), _box(check, table.get("box")) * length
+        position = np.array(_numbers(lens_check, camera, "position", 3, [0.0] * 3)) * length
+        placed = "position" in camera or depth
+        found = cls(pattern, depth, unit, sigma * length, box, tuple(lens), position, np.array(rotation), placed)
         return found if len(problems.found) == before else None
 
     def files(self, folder: Path) -> dict[Path, tuple[str | None, int]]:
@@ -189,49 +180,36 @@ def _contents(files: list[Path]) -> list[Array]:
     return [found[file] for file in files]
 
 
-class _Check:
-    """Checks values of the table, noting what is wrong."""
+def _numbers(check: Stated, table: Mapping[str, Any], key: str, count: int, absent: list[float]) -> list[float]:
+    value = table.get(key)
+    if value is None:
+        return absent
+    values = value if isinstance(value, list) else [value]
+    fine = len(values) == count and all(map(is_number, values))
+    what = "a number" if count == 1 else f"{count} numbers"
+    return [float(v) for v in values] if check.expect(fine, key, what, value) else absent
 
-    def __init__(self, file: Path, problems: Problems) -> None:
-        self.file, self.problems = file, problems
 
-    def numbers(self, table: Mapping[str, Any], key: str, count: int, absent: list[float]) -> list[float]:
-        value = table.get(key)
-        if value is None:
-            return absent
-        values = value if isinstance(value, list) else [value]
-        if len(values) != count or any(
-            isinstance(v, bool) or not isinstance(v, int | float) or not usable(v) for v in values
-        ):
-            what = "a number" if count == 1 else f"{count} numbers"
-            self.problems.add(self.file, f"[surface]: {key}: expected {what}, found {value!r}")
-            return absent
-        return [float(v) for v in values]
+def _check_pattern(check: Stated, key: str, pattern: str, suffixes: tuple[str, ...]) -> None:
+    inside = pattern.count("{step}") == 1 and pattern.count("{action}") < 2
+    inside = inside and ".." not in pattern and not pattern.startswith("/")
+    check.expect(inside, key, "a path in this folder that holds {step} once", pattern)
+    check.expect(Path(pattern).suffix.lower() in suffixes, key, f"one of {', '.join(suffixes)}", pattern)
 
-    def unit(self, value: Any, absent: float) -> float:
-        if value is None:
-            return absent
-        try:
-            return unit_factor(str(value), "m")
-        except InputError as error:
-            self.problems.add(self.file, f"[surface]: unit: {error}")
-            return absent
 
-    def box(self, value: Any) -> Array:
-        everywhere = np.array([[-np.inf] * 3, [np.inf] * 3])
-        if value is None:
-            return everywhere
-        corners = value if isinstance(value, list) and len(value) == 2 else [None, None]
-        found = np.array([self.numbers({"box": corner}, "box", 3, [math.nan] * 3) for corner in corners])
-        if not (found[0] < found[1]).all():
-            self.problems.add(self.file, f"[surface]: box: expected two corners, the lower first, found {value!r}")
-            return everywhere
-        return found
+def _unit(check: Stated, value: Any, absent: float) -> float:
+    try:
+        return absent if value is None else unit_factor(str(value), "m")
+    except InputError as error:
+        check.bad("unit", str(error))
+        return absent
 
-    def pattern(self, text: str, suffixes: tuple[str, ...]) -> None:
-        if text.count("{step}") != 1 or text.count("{action}") > 1 or ".." in text or text.startswith("/"):
-            self.problems.add(
-                self.file, f"[surface]: '{text}': expected a path in this folder that holds {{step}} once"
-            )
-        if Path(text).suffix.lower() not in suffixes:
-            self.problems.add(self.file, f"[surface]: '{text}': expected one of {', '.join(suffixes)}")
+
+def _box(check: Stated, value: Any) -> Array:
+    everywhere = np.array([[-np.inf] * 3, [np.inf] * 3])
+    if value is None:
+        return everywhere
+    corners = value if isinstance(value, list) and len(value) == 2 else [None, None]
+    found = np.array([_numbers(check, {"box": corner}, "box", 3, [math.nan] * 3) for corner in corners])
+    fine = bool((found[0] < found[1]).all())
+    return found if check.expect(fine, "box", "two corners, the lower first", value) else everywhere

@@ -28,8 +28,8 @@ from bcid.inference.discrepancy import SmoothDiscrepancy
 from bcid.inference.knots import Knots, knots_of, known_frames
 from bcid.inference.nuisances import NuisanceModes, Nuisances
 from bcid.measurement import Action, Measurement
-from bcid.measurement.scale import scaled
-from bcid.measurement.thinning import spread
+from bcid.measurement.compared import spread
+from bcid.measurement.measurement import scaled
 from bcid.predict import questions
 from bcid.predict.acting import by_the_clock, steady
 from bcid.predict.forward_models import ForwardModels

@@ -23,7 +23,7 @@ from bcid.forms.model import Model
 from bcid.inference.hypotheses import Hypothesis, normalised
 from bcid.inference.information import Expected
 from bcid.measurement import Measurement
-from bcid.measurement.cloud import Cloud
+from bcid.measurement.contents import Cloud
 from bcid.predict.predictor import Predictor
 from bcid.predict.pull_predictor import PullPredictor
 from bcid.scene import Scene

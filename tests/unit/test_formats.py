@@ -11,6 +11,7 @@ import pytest
 
 from bcid import Measurement
 from bcid.base.errors import InputError
+from bcid.measurement.inspection import import_file
 from validation.reliability import foreign_files as made
 
 HEAD = 'format = "bcid-mapping/1"\nlength_unit = "{unit}"\ntime_unit = "s"\nforce_unit = "N"\nfile = "{file}"\n'
@@ -97,37 +98,33 @@ def test_the_pose_of_a_rigid_body_counts_from_rest(tmp_path: Path) -> None:
 
 def test_older_exports_of_motive(tmp_path: Path) -> None:
     """Measured markers win over solved ones of the same name; the second of a label has a number."""
-    from bcid.measurement.formats import motive
-    from bcid.measurement.formats.foreign import How
-
-    found = motive.read(made.motive_old(tmp_path), How())
+    found = import_file(made.motive_old(tmp_path))
     assert found.unit == "cm"
-    assert list(found.points) == [*(f"Gripper:{label}" for label in made.LABELS), "Gripper:tip (2)"]
-    for i, label in enumerate(made.LABELS):
-        np.testing.assert_allclose(found.points[f"Gripper:{label}"], made.XYZ[:, i] / 10, atol=1e-6)
-    np.testing.assert_array_equal(found.points["Gripper:tip (2)"], [[7, 8, 9]] * 5)
+    labels = [*(f"Gripper:{label}" for label in made.LABELS), "Gripper:tip (2)"]
+    assert list(found.seen.points) == labels
+    seen = Measurement.read(found.mapping).positions
+    np.testing.assert_allclose(seen[:, :-1], made.XYZ * 1e-3, atol=1e-8)
+    np.testing.assert_allclose(seen[:, -1], np.tile([0.07, 0.08, 0.09], (5, 1)))
     text = made.motive(tmp_path).read_text(encoding="utf-8")
     made.write(tmp_path / "local.csv", text.replace("Space,Global", "Space,Local").splitlines())
-    assert "export them as Global" in motive.read(tmp_path / "local.csv", How()).notes[0]
+    assert "export them as Global" in import_file(tmp_path / "local.csv").text
     made.write(tmp_path / "short.csv", [line for line in text.splitlines() if not line.startswith(",Type")])
     with pytest.raises(InputError, match="its header has no line 'Type'"):
-        motive.read(tmp_path / "short.csv", How())
+        import_file(tmp_path / "short.csv")
 
 
 def test_sections_and_objects_of_vicon(tmp_path: Path) -> None:
-    from bcid.measurement.formats import nexus
-    from bcid.measurement.formats.foreign import How
-
-    assert nexus.read(made.nexus_sections(tmp_path), How()).notes == ("the section Segments is not read",)
-    found = nexus.read(made.tracker(tmp_path), How())
+    assert "the section Segments is not read" in import_file(made.nexus_sections(tmp_path)).text
+    found = import_file(made.tracker(tmp_path), tmp_path / "objects.toml")
     assert found.unit == "mm"
-    np.testing.assert_allclose(found.bodies["Gripper"][-1], [40, 500, 250, np.sqrt(0.5), 0, 0, np.sqrt(0.5)], atol=1e-8)
-    np.testing.assert_array_equal(np.isnan(found.bodies["Base"]).all(axis=1), np.arange(5) == 2)
-    np.testing.assert_allclose(found.times, made.TIMES)
+    bodies = found.seen.bodies
+    np.testing.assert_allclose(bodies["Gripper"][-1], [40, 500, 250, np.sqrt(0.5), 0, 0, np.sqrt(0.5)], atol=1e-8)
+    np.testing.assert_array_equal(np.isnan(bodies["Base"]).all(axis=1), np.arange(5) == 2)
+    np.testing.assert_allclose(found.seen.times, made.TIMES)
     text = made.tracker(tmp_path).read_text(encoding="utf-8").replace(",RW,", ",,")
     made.write(tmp_path / "angles.csv", text.splitlines())
     with pytest.raises(InputError, match=r"angles\.csv:4: names no columns RX, RY, RZ, RW, TX, TY, TZ"):
-        nexus.read(tmp_path / "angles.csv", How())
+        import_file(tmp_path / "angles.csv")
 
 
 def test_body_parts_of_several_animals(tmp_path: Path) -> None:
@@ -137,10 +134,7 @@ def test_body_parts_of_several_animals(tmp_path: Path) -> None:
 
 
 def test_bodies_of_qualisys(tmp_path: Path) -> None:
-    from bcid.measurement.formats import qualisys
-    from bcid.measurement.formats.foreign import How
-
-    pose = qualisys.read(made.qualisys_6d(tmp_path), How()).bodies["Gripper"]
+    pose = import_file(made.qualisys_6d(tmp_path)).seen.bodies["Gripper"]
     np.testing.assert_allclose(pose[-1], [40, 500, 250, np.sqrt(0.5), 0, 0, np.sqrt(0.5)], atol=1e-8)
 
 
@@ -412,3 +406,21 @@ def test_a_header_of_deeplabcut_that_is_damaged_is_refused(tmp_path: Path, old: 
     path.write_text(path.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
     with pytest.raises(InputError, match=said):
         read(tmp_path, "dlc.csv", "rate = 50\n")
+
+
+def test_a_table_in_code_page_1252_is_read_as_one_in_utf_8(tmp_path: Path) -> None:
+    text = "t,Höhe_x,Höhe_y,Höhe_z\n0,1,2,3\n1,1,2,4\n"
+    columns = '[columns]\ntime = "t"\n[fiducials]\na = ["Höhe_x", "Höhe_y", "Höhe_z"]\n'
+    for encoding in ("utf-8", "cp1252"):
+        (tmp_path / "heights.csv").write_bytes(text.encode(encoding))
+        seen = read(tmp_path, "heights.csv", columns).positions[:, 0]
+        np.testing.assert_allclose(seen, [[1e-3, 2e-3, 3e-3], [1e-3, 2e-3, 4e-3]])
+
+
+def test_a_table_of_arrays_without_rows_is_refused(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "empty.h5", "w") as file:
+        for axis in "xyz":
+            file[f"log/{axis}"] = np.zeros(0)
+    with pytest.raises(InputError, match=r"empty\.h5: the table 'log' holds no rows"):
+        read(tmp_path, "empty.h5", 'table = "log"\n[fiducials]\na = ["x", "y", "z"]\n')

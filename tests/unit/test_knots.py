@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bcid.inference.knots import Knots, knots_of
-from bcid.measurement.thinning import spread
+from bcid.measurement.compared import spread
 from bcid.scene.action import Action
 from bcid.scene.rotation import from_vector
 

@@ -11,9 +11,7 @@ import pytest
 
 from bcid.base.errors import InputError
 from bcid.base.own_storage import refuse_outside
-from bcid.measurement.formats.array_file import look
-from bcid.measurement.formats.foreign import How
-from bcid.measurement.formats.pose_estimation import read_dlc_hdf5
+from bcid.measurement.inspection import import_file
 from validation.reliability import foreign_files as made
 
 h5py = pytest.importorskip("h5py")
@@ -60,7 +58,7 @@ def test_an_hdf5_recording_whose_values_lie_elsewhere_is_refused(
     with h5py.File(tmp_path / "take.h5", "w") as file:
         write(file, tmp_path / "far")
     with pytest.raises(InputError, match=said):
-        look(tmp_path / "take.h5", ["group/values"])
+        import_file(tmp_path / "take.h5")
 
 
 @pytest.mark.parametrize(("write", "said"), OUTSIDE)
@@ -71,7 +69,7 @@ def test_a_table_of_deeplabcut_with_values_elsewhere_is_refused(
     with h5py.File(made.deeplabcut_hdf5(tmp_path), "r+") as file:
         write(file, tmp_path / "far")
     with pytest.raises(InputError, match=said):
-        read_dlc_hdf5(tmp_path / "dlc.h5", How())
+        import_file(tmp_path / "dlc.h5")
 
 
 def test_a_user_defined_link_is_refused(tmp_path: Path) -> None:

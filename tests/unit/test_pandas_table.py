@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from bcid.base.errors import InputError
-from bcid.measurement.formats.foreign import How
-from bcid.measurement.formats.literal_pickle import literal
-from bcid.measurement.formats.pose_estimation import read_dlc_hdf5
+from bcid.measurement.formats.foreign import Foreign
+from bcid.measurement.inspection import import_file
 from validation.reliability import foreign_files as made
 
 h5py = pytest.importorskip("h5py")
@@ -36,7 +35,7 @@ def _genuine(folder: Path, layout: str) -> Path:
 
 @pytest.mark.parametrize("layout", ["fixed", "table"])
 def test_a_table_of_deeplabcut_in_either_layout_is_read_as_pandas_does(tmp_path: Path, layout: str) -> None:
-    read = read_dlc_hdf5(_genuine(tmp_path, layout), How())
+    read = import_file(_genuine(tmp_path, layout)).seen
     assert list(read.points) == list(made.LABELS)
     for i, label in enumerate(made.LABELS):
         np.testing.assert_array_equal(read.points[label], made.XYZ[:, i])
@@ -48,17 +47,15 @@ def test_a_block_of_objects_is_refused_and_not_unpickled(tmp_path: Path) -> None
     with pytest.warns(pd.errors.PerformanceWarning):
         table.to_hdf(tmp_path / "dlc.h5", key="df_with_missing", format="fixed", mode="w")
     with pytest.raises(InputError, match=r"block0_values\) are kept as Python objects .* export it as CSV"):
-        read_dlc_hdf5(tmp_path / "dlc.h5", How())
+        import_file(tmp_path / "dlc.h5")
 
 
 @pytest.mark.parametrize("name", ["info", "values_block_0_kind"])
 def test_labels_that_are_a_program_are_refused_and_not_unpickled(tmp_path: Path, name: str) -> None:
-    path = _genuine(tmp_path, "table")
-    with h5py.File(path, "r+") as file:
-        group = file["df_with_missing"]
-        (group if name == "info" else group["table"]).attrs[name] = np.bytes_(pickle.dumps(_Ends(), 0))
-    with pytest.raises(InputError, match=r"holds a Python object \(global\), which is not made; export it as CSV"):
-        read_dlc_hdf5(path, How())
+    with pytest.raises(
+        InputError, match=r"holds a Python object \(__builtin__.exec\), which is not made; export it as CSV"
+    ):
+        _read_with_labels(tmp_path, name, pickle.dumps(_Ends(), 2))
 
 
 def test_levels_that_are_objects_are_refused_and_not_unpickled(tmp_path: Path) -> None:
@@ -70,22 +67,29 @@ def test_levels_that_are_objects_are_refused_and_not_unpickled(tmp_path: Path) -
         level[0] = np.frombuffer(pickle.dumps(_Ends()), "u1")
         level.attrs["PSEUDOATOM"] = np.bytes_("object")
     with pytest.raises(InputError, match=r"block0_items_level1\) are kept as Python objects"):
-        read_dlc_hdf5(path, How())
+        import_file(path)
 
 
-@pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
-def test_literal_of_any_protocol_is_what_was_pickled(protocol: int) -> None:
-    value = {1: {"names": ["scorer", "bodyparts"], "none": None}, "labels": [("DLC", "é", 3), (), (1,), (1, 2)]}
-    assert literal(pickle.dumps(value, protocol)) == value
+@pytest.mark.parametrize(
+    "pickled", [b"(", b"t.", b"g9\n.", b"I1\nI2\n.", b"(I1\nd.", b"\x80\x7f.", b"a.", b"P1\n.", b"\x80\x02\x82\x01."]
+)
+def test_labels_that_are_damaged_or_made_elsewhere_are_refused(tmp_path: Path, pickled: bytes) -> None:
+    with pytest.raises(InputError, match=r"is damaged; export it as CSV|not laid out as pandas does it"):
+        _read_with_labels(tmp_path, "info", pickled)
 
 
-@pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
-def test_literal_of_an_object_is_refused(protocol: int) -> None:
-    with pytest.raises(ValueError, match="which is not made"):
-        literal(pickle.dumps([_Ends()], protocol))
+@pytest.mark.parametrize("protocol", [0, pickle.HIGHEST_PROTOCOL])
+def test_labels_of_any_protocol_are_read(tmp_path: Path, protocol: int) -> None:
+    with h5py.File(_genuine(tmp_path, "table")) as file:
+        labels = pickle.loads(bytes(file["df_with_missing/table"].attrs["values_block_0_kind"]))
+    read = _read_with_labels(tmp_path, "values_block_0_kind", pickle.dumps(labels, protocol))
+    assert list(read.points) == list(made.LABELS)
 
 
-@pytest.mark.parametrize("pickled", [b"", b"(", b"t.", b"g9\n.", b"I1\nI2\n.", b"(I1\nd.", b"\x80\x7f.", b"a."])
-def test_literal_that_is_damaged_is_refused(pickled: bytes) -> None:
-    with pytest.raises(ValueError):
-        literal(pickled)
+def _read_with_labels(folder: Path, name: str, pickled: bytes) -> Foreign:
+    """What is read of a genuine table whose attribute with labels is another pickle."""
+    path = _genuine(folder, "table")
+    with h5py.File(path, "r+") as file:
+        group = file["df_with_missing"]
+        (group if name == "info" else group["table"]).attrs[name] = np.void(pickled)
+    return import_file(path).seen

@@ -13,7 +13,7 @@ from bcid.forms import effects
 from bcid.forms.model import Model, check_physics
 from bcid.forms.simulate import simulate
 from bcid.measurement import Measurement
-from bcid.measurement.pooling import pooled
+from bcid.measurement.compared import pooled
 from bcid.predict.predictor import Predictor
 from bcid.scene import Level, Scene, motions
 from bcid.search.answer.identify_run import fitting

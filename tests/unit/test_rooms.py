@@ -10,7 +10,7 @@ PROJECT = Path(__file__).resolve().parents[2]
 BUDGETS = {
     "base": (3330, 30),
     "scene": (1590, 12),
-    "measurement": (7480, 53),
+    "measurement": (6560, 33),
     "forms": (14420, 117),
     "inference": (3610, 22),
     "predict": (1850, 12),

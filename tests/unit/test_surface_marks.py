@@ -24,8 +24,7 @@ from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.data import Data
 from bcid.inference.misfit import Misfit
 from bcid.measurement import Action, Measurement
-from bcid.measurement.cloud import Cloud
-from bcid.measurement.contents import motions_dataset
+from bcid.measurement.contents import Cloud, motions_dataset
 from bcid.measurement.frame_error import FrameError
 from bcid.measurement.plane_fits import Pieces, fit_planes
 from bcid.scene import Level, Scene, motions

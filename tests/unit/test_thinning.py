@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bcid.forms.simulate import recorded
 from bcid.measurement import Action, Measurement
-from bcid.measurement.thinning import MOST, LeftOut
+from bcid.measurement.compared import MOST_STEPS, LeftOut
 from bcid.scene import Scene
 from bcid.search.answer.identify_run import fitting
 
@@ -49,17 +49,17 @@ def made(scene: Scene, way: float = 8e-3) -> Measurement:
 def test_some_frames_are_compared_and_the_others_are_a_test(slab: Scene) -> None:
     whole = made(slab)
     scene, measurement = fitting(slab, whole, MPI.COMM_SELF)
-    assert [len(action) for action in measurement.actions] == [MOST + 1, 11]
+    assert [len(action) for action in measurement.actions] == [MOST_STEPS + 1, 11]
     assert measurement.actions[0].steps[[0, -1]].tolist() == [0, STEPS]
     assert np.ptp(np.diff(measurement.actions[0].steps)) <= 1
     assert measurement.left_out is not None
-    assert measurement.left_out.sizes["frame"] == STEPS - MOST
+    assert measurement.left_out.sizes["frame"] == STEPS - MOST_STEPS
     predicted = np.concatenate([moved(slab, action.steps, 8e-3) for action in measurement.actions])
     # Two rows more, as of a force and a torque.
     rows = np.concatenate([predicted, np.zeros((len(predicted), 2, 3))], axis=1)
     test = LeftOut.of(scene, measurement, rows)
     assert test is not None
-    assert test.frames == STEPS - MOST
+    assert test.frames == STEPS - MOST_STEPS
     assert test.rms == pytest.approx(NOISE, rel=0.05)
     assert test.compared == pytest.approx(NOISE, rel=0.05)
     assert "140 more frames were not compared" in str(test)
@@ -80,9 +80,9 @@ def test_a_fiducial_that_is_not_compared_is_no_test(slab: Scene) -> None:
 
 
 def test_short_recordings_stay_whole(slab: Scene) -> None:
-    short = made(slab).data.isel(frame=slice(0, MOST + 1))
+    short = made(slab).data.isel(frame=slice(0, MOST_STEPS + 1))
     whole = replace(made(slab), data=short)
     scene, measurement = fitting(slab, whole, MPI.COMM_SELF)
     assert measurement.left_out is None
-    assert len(measurement.actions[0]) == MOST + 1
+    assert len(measurement.actions[0]) == MOST_STEPS + 1
     assert LeftOut.of(scene, measurement, measurement.positions) is None

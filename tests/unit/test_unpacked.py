@@ -12,7 +12,7 @@ import pytest
 
 from bcid.base.errors import InputError
 from bcid.forms.mesh import label_image
-from bcid.measurement.formats.array_file import look
+from bcid.measurement.inspection import import_file
 from bcid.vision import corners
 from validation.reliability.scanned import image
 
@@ -47,7 +47,7 @@ def test_a_recording_that_declares_too_much_is_refused(tmp_path: Path, kind: str
     file = {".mat": _compressed_mat, ".h5": _compressed_hdf5}[kind](tmp_path / f"take{kind}")
     assert file.stat().st_size < 100_000
     with pytest.raises(InputError, match=r"unpacks to [0-9.]+ GB, more than 2 GB; keep only what is to be read"):
-        look(file, [])
+        import_file(file)
 
 
 def _compressed_hdf5(file: Path) -> Path:

@@ -49,7 +49,7 @@ _CHILDREN = tuple(
 )
 _CHILDREN += tuple(
     ("-P", "-m", f"bcid.measurement.formats.{name}")
-    for name in ("mat_file", "hdf5_file", "npz_file", "pandas_table", "capture_c3d", "cloud_file", "ros_bag")
+    for name in ("array_tree", "capture_c3d", "pose_estimation", "cloud_file", "ros_bag")
 )
 # Asked by ctypes where a library is, before a child has given up its rights.
 _FINDERS = ("/sbin/ldconfig", "/usr/sbin/ldconfig")

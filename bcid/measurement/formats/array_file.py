@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import fnmatch
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import InputError, nearest
-from bcid.measurement.formats.foreign import Foreign, How
-from bcid.measurement.formats.in_child import fetched
+from bcid.measurement.formats.foreign import Foreign, How, fetched
 
 Array = NDArray[np.float64]
 
@@ -50,65 +49,48 @@ def look(path: Path, wanted: list[str]) -> ArrayFile:
     """
     with path.open("rb") as stream:
         head = stream.read(128)
-    old = head.startswith(b"MATLAB 5.0") or not (head.startswith(b"MATLAB") or head[1:4] == b"HDF")
-    name, what = "mat_file" if old else "hdf5_file", "HDF5 file" if head[1:4] == b"HDF" else "MAT file"
-    if head.startswith(b"PK"):
-        name, what = "npz_file", "NPZ file"
-    data = fetched(f"bcid.measurement.formats.{name}", path, what, [one.strip("/") for one in wanted])
+    matlab, old = head.startswith(b"MATLAB"), head.startswith(b"MATLAB 5.0")
+    kind = "HDF5" if head[1:4] == b"HDF" or (matlab and not old) else "NPZ" if head.startswith(b"PK") else "MAT"
+    what = "MAT file" if matlab else f"{kind} file"
+    data = fetched("bcid.measurement.formats.array_tree", path, what, [kind, *(one.strip("/") for one in wanted)])
     paths = [str(one) for one in data["paths"]]
-    kinds = [str(one).split() for one in data["shapes"]]
-    shapes = {
-        p: tuple(int(n) for n in (k[1] if k[1:] else "").split("x") if n) for p, k in zip(paths, kinds, strict=True)
-    }
-    text = frozenset(p for p, k in zip(paths, kinds, strict=True) if k[0] == "text")
+    shapes = [tuple(int(n) for n in str(one).split("x") if n) for one in data["shapes"]]
+    text = frozenset(path for path, is_text in zip(paths, data["texts"], strict=True) if is_text)
     arrays = {one: data[str(i)] for i, one in enumerate(wanted) if str(i) in data}
-    return ArrayFile(shapes, text, arrays, bool(data.get("pandas", False)))
+    return ArrayFile(dict(zip(paths, shapes, strict=True)), text, arrays, bool(data.get("pandas", False)))
 
 
-def read(path: Path, how: How) -> Foreign:
-    """The markers, poses and wrenches that [arrays] and [columns] name by their paths.
+def read_series(paths: Sequence[Path], how: How) -> Foreign:
+    """The markers, poses and wrenches that [arrays] and [columns] name by their paths, of a file or of a file a step.
 
     Raises:
         InputError: a path is not there, or an array is of another shape than its order says.
     """
-    return _Arrays([path], how).foreign()
-
-
-def read_series(paths: Sequence[Path], how: How) -> Foreign:
-    """The same of files that hold a step each, in their order."""
     return _Arrays(paths, how).foreign()
 
 
 class _Arrays:
+    """Attributes: `content` of the first file, in which arrays of all steps are stacked; `stepwise`, the paths of these."""
+
     def __init__(self, paths: Sequence[Path], how: How) -> None:
         self.path, self.how, self.told = paths[0], how, how.arrays
-        named = [*_listed(self.told.get("positions")), *_listed(self.told.get("displacements"))]
-        named += [*_listed(self.told.get("rest")), *_listed(self.told.get("names"))]
-        named += [*_listed(self.told.get("quality"))]
-        named += [one for key in ("time", "pose", "wrench") for one in _listed(how.columns.get(key))]
-        named = list(dict.fromkeys(named))
-        self.content = _expanded(self.path, named)
-        # What differs from file to file; the rest is that of the first.
-        self.stepwise = (
-            set() if len(paths) == 1 else {*_listed(self.told.get("positions")), *_listed(self.told.get("quality"))}
-        )
-        self.stepwise |= set() if len(paths) == 1 else set(_listed(self.told.get("displacements")))
-        others = [_expanded(path, sorted(self.stepwise)) for path in paths[1:]]
+        stepwise = _named(self.told, "positions", "displacements", "quality")
+        others = [*_named(self.told, "rest", "names"), *_named(how.columns, "time", "pose", "wrench")]
+        self.content = _expanded(self.path, list(dict.fromkeys([*stepwise, *others])))
+        self.stepwise = set(stepwise) if len(paths) > 1 else set()
+        parts = [(path, _expanded(path, sorted(self.stepwise))) for path in paths[1:]]
         for where in self.stepwise:
-            parts = [self.get(where), *(_own(where, *one) for one in zip(paths[1:], others, strict=True))]
-            shapes = [" x ".join(map(str, part.shape)) for part in parts]
-            odd = next((i for i, shape in enumerate(shapes) if shape != shapes[0]), None)
-            if odd is not None:
-                raise InputError(
-                    f"{paths[odd]}: {where} is {shapes[odd]}, in {self.path.name} it is {shapes[0]}; every step needs the same "
-                    "points, NaN where one was not correlated"
-                )
-            self.content.arrays[where] = np.stack(parts)
+            arrays = [self.get(where), *(_array(where, *one) for one in parts)]
+            for path, array in zip(paths, arrays, strict=True):
+                if array.shape != arrays[0].shape:
+                    raise InputError(
+                        f"{path}: {where} is {shown(array.shape)}, in {self.path.name} it is {shown(arrays[0].shape)}; every "
+                        "step needs the same points, NaN where one was not correlated"
+                    )
+            self.content.arrays[where] = np.stack(arrays)
 
     def get(self, where: str) -> Any:
-        if where not in self.content.arrays:
-            raise InputError(f"{self.path}: has no array '{where}'; {nearest(where, self.content.shapes)}")
-        return self.content.arrays[where]
+        return _array(where, self.path, self.content)
 
     def numbers(self, where: str) -> Array:
         array = self.get(where)
@@ -131,38 +113,30 @@ class _Arrays:
         measured = np.isfinite(positions).any(axis=(0, 1))
         lost = np.isnan(positions[:, :, measured]).any(axis=2, keepdims=True)
         positions = np.where(lost, np.nan, positions)
-        self.check_rest(rest, positions)
-        points = {label: positions[:, i] for i, label in enumerate(labels)}
-        still = {} if rest is None else {label: rest[i] for i, label in enumerate(labels)}
-        times = self.times(len(positions))
-        clocked = "time" in self.how.columns or self.how.rate is not None
-        bodies, wrenches = self.rows("pose", 7, len(times)), self.rows("wrench", 6, len(times))
-        found = Foreign("arrays", times, points, bodies, wrenches, numbered=numbered, clocked=clocked, rest=still)
-        found = replace(found, displacements="displacements" in self.told)
-        return (
-            found.correlated(self.quality((positions.shape[0], positions.shape[1])))
-            if "quality" in self.told
-            else found
-        )
-
-    def check_rest(self, rest: Array | None, positions: Array) -> None:
-        """Refuse displacements of points of which no place is known."""
         if rest is not None and not np.isfinite(positions).any():
             raise InputError(f"{self.path}: no point has a rest position and a displacement, all are NaN")
+        points = {label: positions[:, i] for i, label in enumerate(labels)}
+        still = {} if rest is None else {label: rest[i] for i, label in enumerate(labels)}
+        clock = self.times(len(positions))
+        bodies, wrenches = self.rows("pose", 7, len(clock)), self.rows("wrench", 6, len(clock))
+        clocked = "time" in self.how.columns or self.how.rate is not None
+        found = Foreign("arrays", clock, points, bodies, wrenches, numbered=numbered, clocked=clocked, rest=still)
+        found = replace(found, displacements=rest is not None)
+        return found.correlated(self.quality(positions.shape[:2])) if "quality" in self.told else found
 
     def order(self, where: str, usual: str) -> list[str]:
         """Names of the dimensions of an array; where several were stacked, frames are in front."""
         told = str(self.told.get("order", usual)).split()
         return ["frame", *(d for d in told if d != "frame")] if "*" in where or where in self.stepwise else told
 
-    def quality(self, shape: tuple[int, int]) -> Array:
+    def quality(self, shape: tuple[int, ...]) -> Array:
         """Of each point in each frame, shape (frames, markers)."""
         where = str(self.told["quality"])
         order = [d for d in self.order(where, "frame marker") if d != "axis"]
         found = self.ordered(self.numbers(where), order, where)[:, :, 0]
         if found.shape != shape:
-            has, needs = (" x ".join(map(str, one)) for one in (found.shape, shape))
-            raise InputError(f"{self.path}: {where} is {has} as frame x marker; expected {needs}, as the points are")
+            said = f"{shown(found.shape)} as frame x marker; expected {shown(shape)}, as the points are"
+            raise InputError(f"{self.path}: {where} is {said}")
         return found
 
     def field(self, where: Any, what: str, still: bool = False) -> Array:
@@ -188,20 +162,13 @@ class _Arrays:
             more = array.ndim - wanted + 1
             array = array.reshape(*array.shape[:at], -1, *array.shape[at + more :])
         if array.ndim != wanted:
-            shape = " x ".join(map(str, array.shape))
-            raise InputError(
-                f'{self.path}: {where} is {shape}; arrays.order = "{" ".join(order)}" has {wanted} dimensions'
-            )
-        present = [d for d in DIMENSIONS if d in order]
-        array = array.transpose([order.index(d) for d in present])
-        for i, dimension in enumerate(DIMENSIONS):
-            if dimension not in order:
-                array = np.expand_dims(array, i)
+            said = f'{shown(array.shape)}; arrays.order = "{" ".join(order)}" has {wanted} dimensions'
+            raise InputError(f"{self.path}: {where} is {said}")
+        array = array.transpose([order.index(d) for d in DIMENSIONS if d in order])
+        array = np.expand_dims(array, [i for i, d in enumerate(DIMENSIONS) if d not in order])
         if "axis" in order and array.shape[2] != 3:
-            shape = " x ".join(map(str, array.shape))
-            raise InputError(
-                f"{self.path}: {where} is {shape} as frame x marker x axis; its axis must have 3: check arrays.order"
-            )
+            said = f"{shown(array.shape)} as frame x marker x axis; its axis must have 3: check arrays.order"
+            raise InputError(f"{self.path}: {where} is {said}")
         return array
 
     def rest(self, moved: Array) -> Array:
@@ -234,7 +201,7 @@ class _Arrays:
 
     def grid(self) -> tuple[int, ...]:
         """The dimensions of the first array of displacements that are those of a grid."""
-        where = _listed(self.told["displacements"])[0]
+        where = _named(self.told, "displacements")[0]
         order = self.order(where, "frame marker")
         shape = list(self.numbers(where).shape)
         if "frame" in order:
@@ -247,10 +214,9 @@ class _Arrays:
         lengths, shape = tuple(len(one) for one in vectors), self.grid()
         swapped = (lengths[1], lengths[0], *lengths[2:])
         if shape not in (lengths, swapped) or (swapped == lengths and lengths[0] > 1 and self.path.suffix == ".mat"):
-            has, needs = (" x ".join(map(str, one)) for one in (lengths, shape))
             raise InputError(
-                f"{self.path}: rest positions are vectors of {has} along the axes, the grid of displacements is {needs}; which is "
-                "which is not clear: write x, y and z of every point, as arrays of that shape"
+                f"{self.path}: rest positions are vectors of {shown(lengths)} along the axes, the grid of displacements is "
+                f"{shown(shape)}; which is which is not clear: write x, y and z of every point, as arrays of that shape"
             )
         parts = list(np.meshgrid(*vectors, indexing="ij" if shape == lengths else "xy"))
         parts += [np.zeros_like(parts[0])] * (3 - len(parts))
@@ -298,7 +264,7 @@ def _within(moved: Array, rest: Array) -> tuple[Array, Array]:
     return np.where(lost[:, :, None], np.nan, moved), np.where(never, np.nan, rest)
 
 
-def _own(where: str, path: Path, content: ArrayFile) -> Any:
+def _array(where: str, path: Path, content: ArrayFile) -> Any:
     if where not in content.arrays:
         raise InputError(f"{path}: has no array '{where}'; {nearest(where, content.shapes)}")
     return content.arrays[where]
@@ -315,7 +281,7 @@ def _expanded(path: Path, wanted: list[str]) -> ArrayFile:
         path, [*(one for one in wanted if "*" not in one), *dict.fromkeys(p for f in fitting.values() for p in f)]
     )
     for one, paths in fitting.items():
-        shapes = {" x ".join(map(str, known.shapes[p])): p for p in paths}
+        shapes = {shown(known.shapes[p]): p for p in paths}
         if len(shapes) > 1:
             said = ", ".join(f"{p} is {shape}" for shape, p in list(shapes.items())[:2])
             raise InputError(f"{path}: {said}; every step needs the same points, NaN where one was not correlated")
@@ -329,8 +295,15 @@ def _numbered(path: str) -> list[tuple[int, str]]:
     return [(len(part), part) for part in re.findall(r"\d+|\D+", path)]
 
 
-def _listed(value: Any) -> list[str]:
-    return [] if value is None else [value] if isinstance(value, str) else list(value)
+def _named(table: Mapping[str, Any], *keys: str) -> list[str]:
+    """The paths that keys of a table name: one, or one for each axis."""
+    values = [table[key] for key in keys if key in table]
+    return [path for value in values for path in ([value] if isinstance(value, str) else value)]
+
+
+def shown(shape: Sequence[int]) -> str:
+    """A shape in words."""
+    return " x ".join(map(str, shape)) or "one number"
 
 
 def table_rows(path: Path, where: str) -> tuple[list[str], list[list[str]]]:

@@ -6,7 +6,8 @@ NAMEs are files in the folder of FILE. Of each the points (n, 3) or the depths (
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -35,8 +36,13 @@ def _arrays(source: Path, names: Sequence[str]) -> dict[str, Any]:
 
 
 def _read(file: Path) -> Array:
-    reader = {".ply": _ply, ".pcd": _pcd, ".npy": _npy, ".png": _png}.get(file.suffix.lower(), _text)
-    return np.asarray(reader(file), dtype=float)
+    readers: dict[str, Callable[[Path], Any]] = {
+        ".ply": _ply,
+        ".pcd": _pcd,
+        ".npy": partial(np.load, allow_pickle=False),
+        ".png": _png,
+    }
+    return np.asarray(readers.get(file.suffix.lower(), _text)(file), dtype=float)
 
 
 def _ply(file: Path) -> Any:
@@ -44,10 +50,6 @@ def _ply(file: Path) -> Any:
 
     refuse_open_head(file)
     return ply.read(file).points
-
-
-def _npy(file: Path) -> Any:
-    return np.load(file, allow_pickle=False)
 
 
 def _png(file: Path) -> Any:

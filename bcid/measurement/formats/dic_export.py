@@ -8,9 +8,11 @@ rest. All but MatchID give the position at rest. A single file with a column of 
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping as Table
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +20,7 @@ from scipy.spatial import cKDTree
 
 from bcid.base.errors import InputError, nearest
 from bcid.base.text_file import read_export
-from bcid.measurement.formats.foreign import Foreign, How
-from bcid.measurement.formats.grid import filled, numbers, read_grid
+from bcid.measurement.formats.foreign import Export, Foreign, How
 
 Array = NDArray[np.float64]
 
@@ -27,22 +28,13 @@ Array = NDArray[np.float64]
 _HEADER = 1000
 # MatchID writes the moved position beside the displacement.
 _MOVED_PLACE = ("coor.X", "coor.Y", "coor.Z")
-_REST: tuple[tuple[str, ...], ...] = (
-    _MOVED_PLACE,
-    ("X", "Y", "Z"),
-    ("x_undef", "y_undef", "z_undef"),
-    ("x0", "y0", "z0"),
-    ("X0", "Y0", "Z0"),
-)
-_REST += (("pos_x", "pos_y", "pos_z"), ("x", "y", "z"))
-_MOVED: tuple[tuple[str, ...], ...] = (
-    ("U", "V", "W"),
-    ("u", "v", "w"),
-    ("displacement_x", "displacement_y", "displacement_z"),
-)
-_MOVED += (("dX", "dY", "dZ"), ("dx", "dy", "dz"), ("ux", "uy", "uz"), ("Ux", "Uy", "Uz"), ("UX", "UY", "UZ"))
-_MOVED += (("disp_x", "disp_y", "disp_z"), ("u_x", "u_y", "u_z"))
-_MOVED += (("disp.Horizontal Displacement U", "disp.Vertical Displacement V", "disp.Out-Of-Plane: W"),)
+# Capitals count: in VIC-3D X, Y, Z are places, and x, y are pixels.
+_REST_NAMES = ("X Y Z", "x_undef y_undef z_undef", "x0 y0 z0", "X0 Y0 Z0", "pos_x pos_y pos_z", "x y z")
+_REST = (_MOVED_PLACE, *(tuple(names.split()) for names in _REST_NAMES))
+_MOVED_NAMES = ["U V W", "u v w", "displacement_x displacement_y displacement_z", "dX dY dZ", "dx dy dz", "ux uy uz"]
+_MOVED_NAMES += ("Ux Uy Uz", "UX UY UZ", "disp_x disp_y disp_z", "u_x u_y u_z")
+_MATCHID = ("disp.Horizontal Displacement U", "disp.Vertical Displacement V", "disp.Out-Of-Plane: W")
+_MOVED = (*(tuple(names.split()) for names in _MOVED_NAMES), _MATCHID)
 _PIXEL = ("Coordinates.Image X", "Coordinates.Image Y")
 _POINT = (("id",), ("ID",), ("point_id",), ("index",), _PIXEL, ("x", "y"))
 # How well a point was correlated: 1 is best, and 0 that it was not.
@@ -70,15 +62,17 @@ class _Frame:
     unit: str
     quality: Array | None
 
+    def part(self, step: float, rows: NDArray[np.int64]) -> _Frame:
+        """The frame of a step, in which points without a number are counted anew."""
+        keys = [self.keys[j] for j in rows] if self.keyed else [(float(j),) for j in range(len(rows))]
+        quality = None if self.quality is None else self.quality[rows]
+        name, rest, moved = f"{self.name}: step {step:g}", self.rest[rows], self.moved[rows]
+        return replace(self, name=name, keys=keys, rest=rest, moved=moved, quality=quality)
+
 
 def recognised(head: str) -> bool:
     """Whether the text begins with a header that names rest positions and displacements."""
-    return any(_columns(names) is not None for names in map(_names, head.splitlines()[:_HEADER]))
-
-
-def read(path: Path, how: How) -> Foreign:
-    """One frame; see `read_series`."""
-    return read_series([path], how)
+    return any(_columns(names, {}) is not None for names in map(_names, head.splitlines()[:_HEADER]))
 
 
 def read_series(paths: Sequence[Path], how: How) -> Foreign:
@@ -87,7 +81,7 @@ def read_series(paths: Sequence[Path], how: How) -> Foreign:
     Raises:
         InputError: a file is cut off, has other columns than the first, or points that cannot be told apart.
     """
-    frames = _steps(paths[0], how) if len(paths) == 1 else [_frame(path, how) for path in paths]
+    frames = _steps(paths[0], how) if len(paths) == 1 else [_read(path, how)[0] for path in paths]
     keys, rest = frames[0].keys, frames[0].rest.copy()
     number = {key: i for i, key in enumerate(keys)}
     if len(number) < len(keys):
@@ -109,18 +103,9 @@ def read_series(paths: Sequence[Path], how: How) -> Foreign:
         rest[there] = np.where(np.isfinite(rest[there]), rest[there], frame.rest[here])
     points = {str(i + 1): positions[:, i] for i in range(len(keys))}
     still = {str(i + 1): rest[i] for i in range(len(keys))}
-    times = how.count(len(frames))
     name = f"CSV of image correlation, {len(paths)} file{'s' if len(paths) > 1 else ''}"
-    found = Foreign(
-        name,
-        times,
-        points,
-        unit=frames[0].unit,
-        numbered=True,
-        clocked=how.rate is not None,
-        rest=still,
-        displacements=True,
-    )
+    found = Foreign(name, how.count(len(frames)), points, unit=frames[0].unit, rest=still)
+    found = replace(found, numbered=True, clocked=how.rate is not None, displacements=True)
     return found.correlated(quality) if any(frame.quality is not None for frame in frames) else found
 
 
@@ -182,8 +167,12 @@ def _delimiter(line: str) -> str:
     return max(";\t,", key=line.count)
 
 
-def _columns(names: Sequence[str]) -> tuple[list[str], list[str], list[str]] | None:
-    """Columns of the rest position, of the displacement and of what tells a point, in a header."""
+def _columns(names: Sequence[str], told: Table[str, Any]) -> tuple[list[str], list[str], list[str]] | None:
+    """Columns of the rest position, of the displacement and of what tells a point, in a header; `told`: those of a mapping."""
+    if "rest" in told and "displacement" in told:
+        whole = set(told["rest"]) | set(told["displacement"])
+        point = [told["point"]] if "point" in told else []
+        return (list(told["rest"]), list(told["displacement"]), point) if whole & set(names) else None
     moved = next((list(c) for c in _MOVED if set(c) <= set(names)), None)
     rest = next((list(c) for c in _REST if set(c) <= set(names)), None)
     if moved is None or rest is None:
@@ -199,47 +188,28 @@ def _steps(path: Path, how: How) -> list[_Frame]:
         return [frame]
     if not np.isfinite(step).all():
         raise InputError(f"{path}: {int((~np.isfinite(step)).sum())} rows have no step; expected a number in each")
-    found = []
-    for value in dict.fromkeys(map(float, step)):
-        mine = np.flatnonzero(step == value)
-        # Points are counted anew in each step.
-        keys = [frame.keys[j] for j in mine] if frame.keyed else [(float(j),) for j in range(len(mine))]
-        quality = None if frame.quality is None else frame.quality[mine]
-        found.append(
-            replace(
-                frame,
-                name=f"{path}: step {value:g}",
-                keys=keys,
-                rest=frame.rest[mine],
-                moved=frame.moved[mine],
-                quality=quality,
-            )
-        )
-    return found
-
-
-def _frame(path: Path, how: How) -> _Frame:
-    return _read(path, how)[0]
+    return [frame.part(value, np.flatnonzero(step == value)) for value in dict.fromkeys(map(float, step))]
 
 
 def _read(path: Path, how: How) -> tuple[_Frame, Array | None]:
     """The rows of a file, and the step of each where a column has that."""
     begin = read_export(path)[:_HEADER]
-    start = next((i for i, line in enumerate(begin) if _found(_names(line), how)), None)
+    start = next((i for i, line in enumerate(begin) if _columns(_names(line), how.columns)), None)
     if start is None:
         raise InputError(
             f"{path}: no line names rest positions and displacements; name the columns as columns.rest and columns.displacement"
         )
     delimiter, names = _delimiter(begin[start]), _names(begin[start])
-    rest, moved, point = _found(names, how) or ([], [], [])
-    rows = [row for row in filled(read_grid(path, delimiter)) if row[0] > start + 1]
+    rest, moved, point = _columns(names, how.columns) or ([], [], [])
+    export = Export.read(path, delimiter, "a CSV file of image correlation")
+    rows = [row for row in export.rows if row[0] > start + 1]
     step = _one_of(names, how.columns.get("step"), _STEP)
     good = _one_of(names, how.columns.get("quality"), _QUALITY)
     for name in (*rest, *moved, *point, *step, *good):
         if name not in names:
             raise InputError(f"{path}:{start + 1}: has no column '{name}'; {nearest(name, names)}")
     used = {names.index(name) for name in (*rest, *moved, *point, *step, *good, "sigma") if name in names}
-    values = numbers(path, rows, len(names), "a CSV file of image correlation", used)
+    values = export.numbers(rows, len(names), used)
     parts = [values[:, [names.index(name) for name in columns]] for columns in (rest, moved)]
     if "sigma" in names:
         # VIC-3D marks points that were not correlated by a sigma of -1: what else is in their rows is no position.
@@ -257,15 +227,6 @@ def _read(path: Path, how: How) -> tuple[_Frame, Array | None]:
 def _one_of(names: list[str], told: str | None, usual: Sequence[str]) -> list[str]:
     """The column that a mapping names, or one with a usual name; none where there is none."""
     return [told] if told is not None else [name for name in names if name.lower() in usual][:1]
-
-
-def _found(names: list[str], how: How) -> tuple[list[str], list[str], list[str]] | None:
-    told = how.columns
-    if "rest" in told and "displacement" in told:
-        whole = set(told["rest"]) | set(told["displacement"])
-        point = [told["point"]] if "point" in told else []
-        return (list(told["rest"]), list(told["displacement"]), point) if whole & set(names) else None
-    return _columns(names)
 
 
 def _unit(line: str, name: str) -> str:

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import InputError
-from bcid.measurement.formats.foreign import Foreign, How
-from bcid.measurement.formats.grid import Row, filled, length_unit, need, numbers, read_grid, whole
+from bcid.measurement.formats.foreign import Export, Foreign, How, Row, length_unit, whole
 
 Array = NDArray[np.float64]
 
@@ -24,28 +23,20 @@ _MARKERS = ("Marker", "Rigid Body Marker", "Bone Marker")
 _TYPES = {*_MARKERS, "Rigid Body", "Bone"}
 
 
-def recognised(head: str) -> bool:
-    """Whether text begins as an export of Motive does."""
-    return head.startswith("Format Version,")
-
-
 def read(path: Path, _how: How) -> Foreign:
-    """The markers and rigid bodies of an export of Motive.
-
-    Raises:
-        InputError: it is cut off, or its numbers are none.
-    """
-    rows = filled(read_grid(path, ","))
+    """The markers and rigid bodies of an export of Motive."""
+    export = Export.read(path, ",", "a CSV file of Motive")
+    rows = export.rows
     first = rows[0][1]
     about = dict(zip(first[::2], first[1::2], strict=False))
     start = next((i for i, (_, cells) in enumerate(rows) if cells[0] == "Frame"), len(rows))
-    need(path, rows, start + 1, "a CSV file of Motive")
+    export.need(start + 1)
     types, names = _header(path, rows[1:start])
     axes = rows[start][1]
     columns = _columns(types, names, rows[start - 1][1], axes)
     # Others hold text: the time code.
     used = {1, *(i for at in columns.values() for i in at.values())}
-    values = numbers(path, rows[start + 1 :], len(axes), "a CSV file of Motive", used)
+    values = export.numbers(rows[start + 1 :], len(axes), used)
     bodies = _bodies(columns, values)
     left = sorted({name for of, name, kind in columns if of == "Rigid Body" and name not in bodies})
     notes = [f"rotations of {name} are no quaternions: export them as such" for name in left]

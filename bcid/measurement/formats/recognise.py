@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,26 +32,33 @@ class Format:
     Attributes:
         name: "table" for one with a single header line, else that of its family.
         words: for people.
-        read: its reader; None for tables with one header line, whose columns a mapping names.
+        read: its reader, of the files of a recording; None for tables with one header line, whose columns a mapping names.
         arrays: whether what a mapping names in it are paths of arrays.
         series: whether a recording may be several files.
     """
 
     name: str
     words: str
-    read: Callable[[Path, How], Foreign] | None
+    read: Callable[[Sequence[Path], How], Foreign] | None
     arrays: bool = False
     series: bool = False
 
 
 TABLE = Format("table", "table with a header line", None)
-DIC = Format("dic", "CSV of image correlation", dic_export.read, series=True)
-_C3D = Format("c3d", "C3D", capture_c3d.read)
-_MAT = Format("mat", "MAT file", array_file.read, arrays=True)
-_HDF5 = Format("hdf5", "HDF5 file", array_file.read, arrays=True)
-_NPZ = Format("npz", "NPZ file", array_file.read, arrays=True)
-_DLC_HDF5 = Format("dlc_hdf5", "HDF5 file of DeepLabCut", pose_estimation.read_dlc_hdf5)
-_BAG = Format("bag", "ROS bag", ros_bag.read)
+DIC = Format("dic", "CSV of image correlation", dic_export.read_series, series=True)
+_MAT, _HDF5, _NPZ = (
+    Format(one.lower(), f"{one} file", array_file.read_series, arrays=True) for one in ("MAT", "HDF5", "NPZ")
+)
+
+
+def _single(name: str, words: str, read: Callable[[Path, How], Foreign]) -> Format:
+    """A format of which a recording is one file."""
+    return Format(name, words, lambda paths, how: read(paths[0], how))
+
+
+_C3D = _single("c3d", "C3D", capture_c3d.read)
+_DLC_HDF5 = _single("dlc_hdf5", "HDF5 file of DeepLabCut", pose_estimation.read_dlc_hdf5)
+_BAG = _single("bag", "ROS bag", ros_bag.read)
 _BINARY = {
     b"MATLAB": _MAT,
     b"\x89HDF\r\n\x1a\n": _HDF5,
@@ -60,12 +67,12 @@ _BINARY = {
     b"\x89MCAP": _BAG,
 }
 _TEXT: list[tuple[Callable[[str], bool], Format]] = [
-    (trc.recognised, Format("trc", "TRC", trc.read)),
-    (motive.recognised, Format("motive", "CSV of OptiTrack Motive", motive.read)),
-    (nexus.recognised, Format("nexus", "CSV of Vicon Nexus", nexus.read)),
-    (qualisys.recognised, Format("qualisys", "TSV of Qualisys", qualisys.read)),
-    (pose_estimation.recognised_dlc, Format("dlc", "CSV of DeepLabCut", pose_estimation.read_dlc)),
-    (pose_estimation.recognised_anipose, Format("anipose", "3-D CSV of Anipose", pose_estimation.read_anipose)),
+    (lambda head: head.startswith("PathFileType"), _single("trc", "TRC", trc.read)),
+    (lambda head: head.startswith("Format Version,"), _single("motive", "CSV of OptiTrack Motive", motive.read)),
+    (nexus.recognised, _single("nexus", "CSV of Vicon Nexus", nexus.read)),
+    (lambda head: head.startswith("NO_OF_FRAMES\t"), _single("qualisys", "TSV of Qualisys", qualisys.read)),
+    (lambda head: head.startswith("scorer,"), _single("dlc", "CSV of DeepLabCut", pose_estimation.read_dlc)),
+    (pose_estimation.recognised_anipose, _single("anipose", "3-D CSV of Anipose", pose_estimation.read_anipose)),
     (dic_export.recognised, DIC),
 ]
 
@@ -77,19 +84,18 @@ def recognise(path: Path) -> Format:
         InputError: it cannot be read, or is binary and of no format that is known.
     """
     if path.is_dir():
-        if ros_bag.recognised_folder(path):
+        if (path / ros_bag.BODY).is_file():
             return _BAG
         raise InputError(f"{path}: is a folder without metadata.yaml; expected a file, or the folder of a ROS 2 bag")
     head = _head(path)
     # A C3D file begins with the number of a block and an 80; the suffix is trusted where that is damaged.
     if path.suffix.lower() == ".c3d" or (head[1:2] == b"\x50" and head[:1] < b"\x20" and b"\0" in head):
         return _C3D
-    for begin, found in _BINARY.items():
-        if head.startswith(begin):
-            # pandas writes the tables of DeepLabCut with pytables, which leaves its marks in the first groups.
-            return (
-                _DLC_HDF5 if found is _HDF5 and b"PYTABLES_FORMAT_VERSION" in head and b"pandas_type" in head else found
-            )
+    found = next((found for begin, found in _BINARY.items() if head.startswith(begin)), None)
+    if found is not None:
+        # pandas writes the tables of DeepLabCut with pytables, which leaves its marks in the first groups.
+        table = found is _HDF5 and b"PYTABLES_FORMAT_VERSION" in head and b"pandas_type" in head
+        return _DLC_HDF5 if table else found
     if path.suffix.lower() == ".mat":
         return _MAT
     if head.startswith(b"PK\x03\x04") and path.suffix.lower() == ".npz":

@@ -16,37 +16,25 @@ from numpy.typing import NDArray
 
 from bcid.base.confined import serve
 from bcid.base.errors import InputError
-from bcid.measurement.formats.foreign import Foreign, How
-from bcid.measurement.formats.grid import whole
-from bcid.measurement.formats.in_child import fetched, needed
+from bcid.measurement.formats.foreign import Foreign, How, fetched, needed, whole
 
 Array = NDArray[np.float64]
 # Label, kind ("point", "pose", "wrench") and numbers of what a message holds.
 _Said = Iterator[tuple[str, str, list[float]]]
 
-_BODY = "metadata.yaml"
+BODY = "metadata.yaml"
 _DELETED = (2, 3)
-
-
-def recognised_folder(path: Path) -> bool:
-    """Whether a folder is a bag of ROS 2."""
-    return (path / _BODY).is_file()
 
 
 def read(path: Path, how: How) -> Foreign:
     """Markers, poses and wrenches of a bag, at the times of the marker `how.clock`, or of the one that is seen most often.
 
     What else was recorded is taken from the message nearest in time, within half of the interval of its topic or of the clock's.
-
-    Raises:
-        InputError: the bag is damaged, or holds no message of these types.
     """
     folder = path.is_dir()
     module = "bcid.measurement.formats.ros_bag"
-    data = fetched(module, path / _BODY if folder else path, "ROS bag", in_place=folder)
-    topics = [f"{topic}" for topic in data["topics"]]
-    labels = [str(label) for label in data["labels"]]
-    kinds = [str(kind) for kind in data["kinds"]]
+    data = fetched(module, path / BODY if folder else path, "ROS bag", in_place=folder)
+    topics, labels, kinds = ([str(one) for one in data[key]] for key in ("topics", "labels", "kinds"))
     streams = [(data[f"t{i}"], data[f"v{i}"]) for i in range(len(labels))]
     seen = {label: i for i, label in enumerate(labels) if kinds[i] != "wrench"}
     if not seen:
@@ -58,8 +46,7 @@ def read(path: Path, how: How) -> Foreign:
     at = {label: _sampled(*streams[i], clock) for label, i in seen.items()}
     points = {label: whole(values[:, :3]) for label, values in at.items()}
     bodies = {label: values for label, values in at.items() if kinds[seen[label]] == "pose"}
-    forces = {label: i for i, label in enumerate(labels) if kinds[i] == "wrench"}
-    wrenches = {label: _sampled(*streams[i], clock) for label, i in forces.items()}
+    wrenches = {label: _sampled(*streams[i], clock) for i, label in enumerate(labels) if kinds[i] == "wrench"}
     notes = tuple(f"not read: {topic}" for topic in data["unread"])
     return Foreign("ROS bag", clock - clock[0], points, bodies, wrenches, unit="m", notes=notes)
 
@@ -77,7 +64,6 @@ def _interval(times: Array) -> float:
 
 
 # -- in the child
-# --------------------------------------------------------------------------------------------------------------
 
 
 def _streams(source: Path, _arguments: Sequence[str]) -> dict[str, Any]:
@@ -87,7 +73,7 @@ def _streams(source: Path, _arguments: Sequence[str]) -> dict[str, Any]:
     except ImportError:
         raise needed("rosbags") from None
     streams: dict[tuple[str, str], list[tuple[float, list[float]]]] = {}
-    bag = source.parent if source.name == _BODY else source
+    bag = source.parent if source.name == BODY else source
     with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
         topics = {f"{c.topic} ({_short(c.msgtype)})": c for c in reader.connections}
         known = [c for c in reader.connections if _short(c.msgtype) in _READERS]

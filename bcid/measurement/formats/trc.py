@@ -8,35 +8,26 @@ from __future__ import annotations
 from pathlib import Path
 
 from bcid.base.errors import InputError
-from bcid.measurement.formats.foreign import Foreign, How
-from bcid.measurement.formats.grid import distinct, filled, length_unit, need, number, numbers, read_grid, whole
-
-
-def recognised(head: str) -> bool:
-    """Whether text begins as a TRC file does."""
-    return head.startswith("PathFileType")
+from bcid.measurement.formats.foreign import Export, Foreign, How, length_unit, whole
 
 
 def read(path: Path, _how: How) -> Foreign:
-    """The markers of a TRC file.
-
-    Raises:
-        InputError: it is cut off, or its numbers are none.
-    """
-    rows = filled(read_grid(path, "\t"))
-    if len(rows) > 1 and rows[1][1][0].startswith("DataRate,"):
-        rows = filled(read_grid(path, ","))
-    need(path, rows, 5, "a TRC file")
+    """The markers of a TRC file."""
+    export = Export.read(path, "\t", "a TRC file")
+    if len(export.rows) > 1 and export.rows[1][1][0].startswith("DataRate,"):
+        export = Export.read(path, ",", "a TRC file")
+    export.need(5)
+    rows = export.rows
     about = dict(zip(rows[1][1], rows[2][1], strict=False))
     if not {"NumFrames", "NumMarkers", "Units"} <= set(about):
         raise InputError(f"{path}:2: expected NumFrames, NumMarkers and Units; this is not a whole TRC header")
     labels = [cell for cell in rows[3][1][2:] if cell]
-    count, frames = (int(number(path, about[key], key, 3)) for key in ("NumMarkers", "NumFrames"))
+    count, frames = (int(export.number(about[key], key, 3)) for key in ("NumMarkers", "NumFrames"))
     if len(labels) != count:
         raise InputError(f"{path}:4: names {len(labels)} markers, but the header states NumMarkers = {count}")
-    distinct(path, labels)
+    export.distinct(labels)
     width = 2 + 3 * count
-    values = numbers(path, rows[5:], width, "a TRC file")
+    values = export.numbers(rows[5:], width)
     if len(values) < frames:
         raise InputError(f"{path}: states {frames} frames and holds {len(values)}: it is cut off; export it again")
     points = {label: whole(values[:, 2 + 3 * i : 5 + 3 * i]) for i, label in enumerate(labels)}

@@ -28,9 +28,7 @@ from bcid.inference.continuation import truncate_to_converged
 from bcid.inference.hypotheses import label
 from bcid.inference.stiffness import Stiffness
 from bcid.measurement import AXES, WRENCH, Measurement
-from bcid.measurement.in_plane import in_plane
-from bcid.measurement.pooling import pooled
-from bcid.measurement.thinning import LeftOut, thinned
+from bcid.measurement.compared import LeftOut, in_plane, pooled, thinned
 from bcid.predict.levels import pair
 from bcid.predict.store import CHECKPOINT, PredictionStore
 from bcid.scene import Scene

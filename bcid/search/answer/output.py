@@ -20,7 +20,7 @@ from bcid.inference.data import Data
 from bcid.inference.hypotheses import patches
 from bcid.inference.thresholds import THRESHOLDS
 from bcid.measurement import AXES, WRENCH
-from bcid.measurement.thinning import LeftOut
+from bcid.measurement.compared import LeftOut
 from bcid.predict.predictor import Predictor
 from bcid.search.answer import answer_text, diagnosis_text
 from bcid.search.answer.adequacy import groups, judge
