@@ -110,7 +110,7 @@ def proposed(
     scene = Scene.read(HERE / "scenes/bar.toml")
     measurement = pulled(scene, curve)
     found = propose(
-        scene, measurement, options=ProposeOptions(terms=1, kinds=("energy",)), model=on_rollers(scene), name=name
+        scene, measurement, options=ProposeOptions(max_effects=1, kinds=("energy",)), model=on_rollers(scene), name=name
     )
     print(found.headline)
     plain, last = (stress_error(model, curve) for model in predicted_strains(found))
