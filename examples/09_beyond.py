@@ -44,7 +44,6 @@ STUCK = BodyEffect(
     "stuck_disc",
     (Amount("stiffness", "Pa/m", "per area", neutral=0.0),),
     "the skin is stuck",
-    "boundary",
     potential=springs,
 )
 
