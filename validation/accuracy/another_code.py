@@ -34,7 +34,7 @@ from bcid.search.answer.compare_runs import run_explain
 from validation.accuracy.tetrahedra import Array, Body, Mesh
 from validation.synthetic.amounts import adopted
 
-SCENES = Path(__file__).parents[1] / "tests/data/lab2/scenes"
+SCENES = Path(__file__).parents[2] / "tests/data/lab2/scenes"
 NOISE, MARKERS, CAMERA, TURN = 0.13, 0.35, 0.2, 0.3
 SIZES = {"block": 4.0, "organ": 4.5}
 AXES: Array = np.array([45.0, 22.0, 30.0])

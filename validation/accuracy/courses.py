@@ -32,7 +32,7 @@ from bcid.search.fitting.courses import knots
 from bcid.search.fitting.variants import neutral_values
 
 Array = NDArray[np.float64]
-SCENE = Path(__file__).resolve().parents[1] / "examples/scenes/slab.toml"
+SCENE = Path(__file__).resolve().parents[2] / "examples/scenes/slab.toml"
 FRAMES, NOISE, ANCHORS, KNOTS = 16, 2e-4, frozenset("13"), 6
 _NONE = (0.0,) * KNOTS
 # Amounts at six knots, and shapes.

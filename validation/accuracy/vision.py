@@ -29,7 +29,7 @@ from bcid.vision.tracking import Tracking, track
 from validation.rendering.appearance import Appearance
 from validation.rendering.scene_images import RenderedRecording, SurfaceMotion, moved, render_recording
 
-SCENE = Path(__file__).resolve().parents[1] / "examples/scenes/slab.toml"
+SCENE = Path(__file__).resolve().parents[2] / "examples/scenes/slab.toml"
 HIDDEN, DECOYS = 0.2, 6
 # A position further from its bead than this, m, is another bead's; beads are 20 mm apart.
 WRONG = 2e-3
