@@ -29,7 +29,8 @@ def test_a_body_slides_alike_on_a_shared_mesh(project: Path, anchors: set[str]) 
     scene = replace(scene, levels=(Level(2, 0.012),))
     found = []
     for comm in (MPI.COMM_SELF, WORLD):
-        forward = Forward(scene, 0, comm, settings=Settings(rtol=1e-10))
+        # At 1e-10 round-off of what stiff springs add, in another order on each run of three ranks, may be all that is left.
+        forward = Forward(scene, 0, comm, settings=Settings(rtol=1e-8))
         found.append(forward.predict(anchors, [straight((0.004, 0.0, 0.002), 2, "jaw")]).positions)
         forward.destroy()
     close = bool(np.abs(found[0] - found[1]).max() < 1e-9)
