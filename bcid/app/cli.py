@@ -92,7 +92,9 @@ def main(argv: list[str] | None = None) -> int:
     given = sys.argv[1:] if argv is None else argv
     known = parser.get_default("known")
     if given and not given[0].startswith("-") and given[0] not in known:
-        parser.error(f"'{shortened(given[0], 60)}' is no command; {nearest(given[0], known)}")
+        moved = given[0] in ("study", "bench")
+        why = "it is one of a checkout: ./dev bcid-validate" if moved else nearest(given[0], known)
+        parser.error(f"'{shortened(given[0], 60)}' is no command; {why}")
     arguments = parser.parse_args(given)
     if arguments.command == "doctor":
         from bcid.app import doctor

@@ -84,6 +84,19 @@ def test_help_names_every_command(tmp_path: Path) -> None:
         assert bcid(command, "--help", cwd=tmp_path).returncode == 0
     assert bcid(cwd=tmp_path).returncode == 2
     assert "did you mean 'identify'" in bcid("identfy", cwd=tmp_path).stderr
+    assert "./dev bcid-validate" in bcid("study", "paper", cwd=tmp_path).stderr
+
+
+def test_renamed_flag_is_refused_with_its_name(tmp_path: Path) -> None:
+    refused(
+        bcid("identify", SLAB, SEEN, "-o", "run", "--certify", "yes", cwd=tmp_path), "--certify is --exhaustive now"
+    )
+    refused(
+        bcid("explore", SLAB, "--robot", "simulated:1", "-o", "run", "--consider", ",", cwd=tmp_path), "names nothing"
+    )
+    refused(
+        bcid("explore", SLAB, "--robot", "simulated:1", "-o", "run", "--samples", "x", cwd=tmp_path), "a whole number"
+    )
 
 
 def test_a_process_ends_with_the_exit_code(tmp_path: Path) -> None:
