@@ -24,7 +24,10 @@ def seed(text: str) -> int:
 
 
 def add_flags(parser: argparse._ActionsContainer, options: type, names: Collection[str] = ()) -> None:
-    """Declare a flag for each field of a class of options, or for some; one that is not given is no attribute of the arguments."""
+    """Declare a flag for each field of a class of options, or for some; one that is not given is no attribute of the arguments.
+
+    Of a switch, which is on by default, the flag turns it off.
+    """
     said = about(options)
     for one in _shown(options, names):
         flag, words = one.name.replace("_", "-"), said[one.name]
@@ -81,17 +84,32 @@ def _value(one: Field[Any], text: Any) -> Any:
     flag, kind = f"--{one.name.replace('_', '-')}", str(one.type).partition(" ")[0].partition("[")[0]
     unit = one.metadata.get("unit", "")
     readers: dict[str, Callable[[str], Any]] = {"int": int, "float": float, "tuple": names_in, "Stop": Stop.parse}
+    if unit:
+        return size_in(text, flag, unit)
     try:
-        value = quantity(text, unit) if unit else readers.get(kind, str)(text)
+        value = readers.get(kind, str)(text)
     except InputError as error:
         raise InputError(f"{flag}: {error}") from None
     except ValueError:
         expected = "a whole number" if kind == "int" else "a number"
         raise InputError(f"{flag} '{shortened(text, 60)}': expected {expected}") from None
-    if unit and value < 0:
-        raise InputError(f"{flag} '{text}': must not be negative")
     if kind == "tuple" and not value:
         raise InputError(f"{flag} '{text}': names nothing; give some, as {flag} {one.metadata['example']}")
+    return value
+
+
+def size_in(text: str, flag: str, unit: str) -> float:
+    """A number with a unit that is not negative, SI.
+
+    Raises:
+        InputError: it is none; it names the flag.
+    """
+    try:
+        value = quantity(text, unit)
+    except InputError as error:
+        raise InputError(f"{flag}: {error}") from None
+    if value < 0:
+        raise InputError(f"{flag} '{text}': must not be negative")
     return value
 
 

@@ -88,29 +88,6 @@ def all_names(given: Sequence[str]) -> list[str]:
     return [name for text in given for name in names_in(text)]
 
 
-def noise_in(text: str | None, option: str = "--noise", unit: str = "m") -> float | None:
-    """A standard deviation in a unit; None where the option is not given."""
-    noise = quantity_in(text, option, unit)
-    if noise is not None and noise < 0:
-        raise InputError(f"{option} '{text}': must not be negative")
-    return noise
-
-
-def length_in(text: str | None, option: str) -> float | None:
-    """A length, m; None where the option is not given."""
-    return quantity_in(text, option, "m")
-
-
-def quantity_in(text: str | None, option: str, unit: str) -> float | None:
-    """A number in a unit; None where the option is not given."""
-    from bcid.base.units import quantity
-
-    try:
-        return None if text is None else quantity(text, unit)
-    except InputError as error:
-        raise InputError(f"{option}: {error}") from None
-
-
 def direction_in(text: str | None) -> tuple[float, ...] | None:
     """Three numbers separated by commas or blanks; None where the option is not given."""
     if text is None:

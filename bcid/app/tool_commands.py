@@ -6,10 +6,11 @@ import argparse
 from typing import TYPE_CHECKING
 
 from bcid.app.console import beside_the_result, complain, extra, finish, progress_of, tell
-from bcid.app.flags import names_in
-from bcid.app.shared_flags import direction_in, length_in, noise_in
+from bcid.app.flags import names_in, size_in
+from bcid.app.shared_flags import direction_in
 from bcid.base.collective import Comm, first
 from bcid.base.errors import InputError
+from bcid.base.options import check_level
 from bcid.base.shipped import copy_examples
 
 if TYPE_CHECKING:
@@ -131,9 +132,8 @@ def simulate(arguments: argparse.Namespace, comm: Comm) -> None:
     anchors = names_in(arguments.anchors)
     if arguments.surface < 0:
         raise InputError(f"--surface {arguments.surface}: must be at least 0")
-    noise = noise_in(arguments.noise)
-    if arguments.level is not None and not 0 <= arguments.level < len(scene.levels):
-        raise InputError(f"--level {arguments.level}: the scene has levels 0 to {len(scene.levels) - 1}")
+    noise = None if arguments.noise is None else size_in(arguments.noise, "--noise", "m")
+    check_level(arguments.level, scene, "--level")
     if arguments.like and arguments.grasp:
         raise InputError("--grasp: a measurement given with --like names its grasps itself; leave one of the two out")
     scene = with_effects(scene, arguments.true_effect)
@@ -150,11 +150,12 @@ def simulate(arguments: argparse.Namespace, comm: Comm) -> None:
         if not grasps:
             raise InputError(f"scene {scene.source} has no grasp: use --like with a measurement without one")
         grasp = arguments.grasp or grasps[len(grasps) // 2]
-        shape = length_in(arguments.amplitude, "--amplitude"), arguments.steps, direction_in(arguments.direction)
+        amplitude = None if arguments.amplitude is None else size_in(arguments.amplitude, "--amplitude", "m")
+        shape = amplitude, arguments.steps, direction_in(arguments.direction)
         actions = motion(arguments.motion, grasp, 1, *shape)
     progress = progress_of(arguments, comm.rank)
     progress.say(f"simulating {len(actions)} action(s), {sum(len(a) for a in actions)} steps")
-    felt = noise_in(arguments.wrench_noise, "--wrench-noise", "N")
+    felt = None if arguments.wrench_noise is None else size_in(arguments.wrench_noise, "--wrench-noise", "N")
     wrench = arguments.wrench or felt is not None
     chosen = arguments.level, noise, arguments.seed, comm, None, wrench, times, felt or 0.0, arguments.surface
     made = make(scene, anchors, actions, *chosen)

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.collective import Comm, agree, overlaid
-from bcid.base.errors import EvaluationError, InputError, SolveError, evaluating
+from bcid.base.errors import EvaluationError, SolveError, evaluating
+from bcid.base.options import check_level
 from bcid.base.progress import Progress, Silent
 from bcid.forms.force_bumps import BUMPS, SPOTS, bumps, force_unit, growth_bumps
 from bcid.forms.forward import Forward, Look, Prediction
@@ -84,8 +85,7 @@ class Predictor:
         progress: Progress | None = None,
         store: PredictionStore | None = None,
     ) -> None:
-        if level is not None and not 0 <= level < len(scene.levels):
-            raise InputError(f"level {level}: the scene has levels 0 to {len(scene.levels) - 1}")
+        check_level(level, scene)
         self.fine_level = affordable(scene, comm) if level is None else level
         self.whole, self.measurement, self.comm = scene, measurement, comm
         self.scene = replace(scene, levels=pair(scene, self.fine_level, comm))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -57,12 +59,12 @@ def drawings(found: Found) -> list[Drawing]:
         made.append(Drawing("body", BODY, text, pictures(found)["picture"], True))
     elif "identification" in documents and body is not None and positions is not None:
         text = "The body with its anchors, and the measured and predicted paths of an action."
-        draw = lambda: body_figure(documents["identification"], body, positions)  # noqa: E731
-        made.append(Drawing("body", BODY, text, draw, True))
+        draw_body = partial(body_figure, documents["identification"], body, positions)
+        made.append(Drawing("body", BODY, text, draw_body, True))
     if "identification" in documents:
         text = "How probable it is that a patch is anchored. Dark: the set that is reported; hatched: the others."
-        draw = lambda: chart(lambda axes: draw_probabilities(axes, documents["identification"]))  # noqa: E731
-        made.append(Drawing("patches", BELIEF, text, draw))
+        draw_patches = partial(_chart_of, draw_probabilities, documents["identification"])
+        made.append(Drawing("patches", BELIEF, text, draw_patches))
     made += [*_of_residuals(found), *_of_diagnosis(found), *_of_exploration(found)]
     texts = {
         "calibration": "Where corners lie in the images, what the cameras miss them by, and the error of each pair.",
@@ -90,9 +92,20 @@ def pictures(found: Found) -> dict[str, Callable[[], Figure]]:
     if "calibration" in documents:
         made["calibration"] = lambda: calibration_figure(documents["calibration"])
     if "tracking" in documents and tracks is not None:
-        rest = lambda: rest_picture(RunFolder.open(found.path))  # noqa: E731
-        made["tracking"] = lambda: tracking_figure(documents["tracking"], tracks, rest())
+        made["tracking"] = lambda: tracking_figure(
+            documents["tracking"], tracks, rest_picture(RunFolder.open(found.path))
+        )
     return made
+
+
+def _chart_of(draw: Callable[[Any, Any], None], content: Any, height: float = 3.2) -> Figure:
+    """A chart of some content."""
+    return chart(lambda axes: draw(axes, content), height)
+
+
+def _residual_chart(draw: Callable[[Any, Any], None], found: Found) -> Figure:
+    """A chart of the residuals of a run, which are made when it is drawn: damaged files are found then."""
+    return _chart_of(draw, residuals_of(found))
 
 
 def _of_residuals(found: Found) -> list[Drawing]:
@@ -111,8 +124,7 @@ def _of_residuals(found: Found) -> list[Drawing]:
     }
     made = []
     for name, (draw, text) in draws.items():
-        drawn = lambda draw=draw: chart(lambda axes: draw(axes, residuals_of(found)))  # noqa: E731
-        made.append(Drawing(f"residual-{name}", RESIDUALS, text, drawn))
+        made.append(Drawing(f"residual-{name}", RESIDUALS, text, partial(_residual_chart, draw, found)))
     if felt(positions):
         stiff = "" if "diagnosis" in found.documents else ", with the stiffness that the scene has"
         text = f"Force of the gripper: measured, and as {last} predicts it{stiff}."
@@ -151,6 +163,5 @@ def _of_exploration(found: Found) -> list[Drawing]:
     }
     made = []
     for name, (draw, text) in draws.items():
-        drawn = lambda draw=draw: chart(lambda axes: draw(axes, steps), 3.6)  # noqa: E731
-        made.append(Drawing(name, BELIEF, text, drawn))
+        made.append(Drawing(name, BELIEF, text, partial(_chart_of, draw, steps, 3.6)))
     return made if steps else []

@@ -6,6 +6,7 @@ import base64
 import io
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from matplotlib.figure import Figure
@@ -108,11 +109,15 @@ class Section:
         made = []
         for drawing in self._drawings:
             if drawing.part == part:
-                make = lambda one=drawing: Shown.of(one.draw(), one.caption, one.picture)  # noqa: E731
-                made.append(self._tried(f"figure '{drawing.name}'", make))
+                made.append(self._tried(f"figure '{drawing.name}'", partial(_shown, drawing)))
         return [image for image in made if image is not None]
 
     def _tables(self, part: str) -> list[Table]:
         """The tables of a part of the report."""
         made = [self._tried(f"table '{name}'", make) for name, own, make in tables(self.found) if own == part]
         return [table for table in made if table is not None]
+
+
+def _shown(drawing: Drawing) -> Shown:
+    """A figure of a run, drawn."""
+    return Shown.of(drawing.draw(), drawing.caption, drawing.picture)

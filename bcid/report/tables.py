@@ -173,8 +173,7 @@ def path_table(proposal: dict[str, Any]) -> Table | None:
         "The path: what the likeliest terms promised beside each model before any fit, their log-evidence against the best of "
         "them, and the one that proved best when they were fitted."
     )
-    strong: Callable[[dict[str, Any]], bool] = lambda row: row["entered"][1]  # noqa: E731
-    return Table(caption, columns, rows, strong) if proposal["proposed"] else None
+    return Table(caption, columns, rows, lambda row: bool(row["entered"][1])) if proposal["proposed"] else None
 
 
 # -- anchors

@@ -89,6 +89,7 @@ class MeasuredMisfits:
         self.known: dict[tuple[int, Candidate], SetMisfit] = {}
         self._models = ForwardModels(scene, comm, self.settings, ForceScale.of(scene, measurement), per_rank)
         self._spent: dict[int, float] = {}
+        self._positions: dict[tuple[int, Candidate], Array] = {}
 
     @property
     def patches(self) -> list[str]:
@@ -159,10 +160,12 @@ class MeasuredMisfits:
 
     def positions(self, level: int, candidate: Candidate) -> Array:
         """What a set predicts, shape (frames, fiducials or more rows, 3), m; NaN where it was not come to."""
-        found = self.forward(level).predict(candidate, self.measurement.actions)
-        self._spent[level] = self._spent.get(level, 0.0) + 1.0
-        predicted: Array = self.comm.bcast(found.positions)
-        return predicted
+        key = level, candidate
+        if key not in self._positions:
+            found = self.forward(level).predict(candidate, self.measurement.actions)
+            self._spent[level] = self._spent.get(level, 0.0) + 1.0
+            self._positions[key] = self.comm.bcast(found.positions)
+        return self._positions[key]
 
     def failures(self, level: int) -> dict[Candidate, SetMisfit]:
         """Sets that the model has no solution for."""

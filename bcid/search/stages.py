@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -84,6 +85,6 @@ def in_stages(
         if options.start == "threshold":
             least = options.threshold * model.similarity(best)
             good = [c for c, rms in found.items() if math.isfinite(rms) and model.similarity(rms) >= least]
-            tops = sorted(good, key=lambda c, found=found: rank(found, c))  # type: ignore[misc]
+            tops = sorted(good, key=partial(rank, found))
         following = perturbed(tops, model.patches, options.perturb, rng)
     return stages

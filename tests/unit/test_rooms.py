@@ -18,7 +18,7 @@ BUDGETS = {
     "grammar": (2500, 18),
     "exploration": (1890, 11),
     "vision": (5110, 30),
-    "report": (3620, 26),
+    "report": (3640, 26),
     "api": (810, 3),
     "app": (1840, 12),
     "validation": (19350, 155),

@@ -10,7 +10,7 @@ from typing import Any
 
 from bcid.base.collective import Comm, on_root
 from bcid.base.errors import InputError
-from bcid.base.options import ExplainOptions
+from bcid.base.options import ExplainOptions, check_level
 from bcid.base.progress import Progress
 from bcid.base.run_folder import RunFolder, running
 from bcid.predict.predictor import Predictor
@@ -129,9 +129,7 @@ def _written(
     progress: Progress | None,
     store: Path | None,
 ) -> Path:
-    levels = len(source.scene.levels)
-    if level is not None and not 0 <= level < levels:
-        raise InputError(f"--level {level}: the scene has levels 0 to {levels - 1}")
+    check_level(level, source.scene, "--level")
     if on_root(comm, lambda: store is not None and store.exists() and not store.is_dir()):
         raise InputError(f"--store {store}: is a file; name a folder")
     makes = _EXPLAIN_MAKES if command == "explain" else MAKES

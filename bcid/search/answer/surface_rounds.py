@@ -12,7 +12,6 @@ from dataclasses import replace
 from typing import TypeVar
 
 from bcid.base.collective import Comm
-from bcid.base.errors import SolveError
 from bcid.base.options import LAST, StageOptions, Stop
 from bcid.base.progress import Progress
 from bcid.forms.mesh.patches import first_level
@@ -95,8 +94,6 @@ def _guessed(
         misfits = MeasuredMisfits(scene, association.about(scene, model, guess, measurement), comm, model)
         try:
             stages = in_stages(misfits, options, last, list(dict.fromkeys([guess, everything])))
-        except SolveError:
-            break
         finally:
             misfits.destroy()
         if not stages:
