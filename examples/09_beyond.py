@@ -64,7 +64,7 @@ def main(folder: Path, known: tuple[str, ...] | None = None) -> tuple[str, str, 
         body, ["3", "4"], pulls, noise=0.3e-3, model=Model.of(body) + Term(STUCK, {"stiffness": 5e5})
     )
     before = bcid.explain(scene, measured, options=ExplainOptions(only=known))
-    print(f"explain: {before.verdict}, {1e3 * before.rms:.3g} mm left (noise {1e3 * before.noise:.2g})")
+    print(f"explain: {before.verdict}, {1e3 * before.rms:.3g} mm left (noise {1e3 * before.noise_rms:.2g})")
     proposal = bcid.propose(scene, measured, name="stuck")
     print(proposal.headline)
     file = folder / "stuck.py"

@@ -137,13 +137,13 @@ def answer(folder: Path, specimen: str, thickness: float, poisson: float, work: 
     file.write_text(scene_text(folder, specimen, thickness, poisson), encoding="utf-8")
     scene = Scene.read(file, physics=check_physics)
     found = identify(scene, seen(folder, specimen, every))
-    young = found.found["stiffness"]["constants"]["young"]
-    product = thickness * 1e-6 * np.array([young["value"], *young["interval"]])
+    young = found.stiffness.constants["young"]
+    product = thickness * 1e-6 * np.array([young.value, *young.interval])
     return Answer(
         thickness,
         poisson,
         found.patches["rim"],
-        found.found["missing"],
+        found.discrepancy_probability,
         found.rms * 1e3,
         (product[0], product[1], product[2]),
     )

@@ -12,7 +12,7 @@ from bcid.base.run_folder import write_whole
 RESULTS = Path(__file__).resolve().parent / "results"
 # Of an answer, and of its diagnosis, what scores are of.
 _ANSWER = ("kind", "truth", "diagnosis", "trajectories", "seconds", "cpu_seconds")
-_DIAGNOSIS = ("verdict", "verdict_probability", "anchored", "anchors_probability", "probabilities")
+_DIAGNOSIS = ("verdict", "verdict_probability", "anchored", "anchors_probability", "posterior")
 # Digits of a probability.
 _DIGITS = 6
 

@@ -71,7 +71,7 @@ def identify(
     def work(seen: Measurement) -> IdentifyResult:
         done, seen = identify_run.identified(body, seen, comm, options, refine, model, progress)
         mesh = identify_run.working_mesh(done, comm)
-        return IdentifyResult(identify_run.documents(seen, done, mesh), "identify")
+        return IdentifyResult.of(identify_run.documents(seen, done, mesh), "identify")
 
     return truncate_to_converged(seen, work)
 
@@ -224,7 +224,7 @@ def propose(
 
     def use(predictor: Predictor, here: Source, done: Diagnosis) -> ProposeResult:
         content = collect(predictor, done)
-        return ProposeResult(proposal_documents(told[-1], here, predictor, done, content), "propose")
+        return ProposeResult.of(proposal_documents(told[-1], here, predictor, done, content), "propose")
 
     return on_predictor(source, comm, chosen.level, progress, work, use)
 
@@ -265,7 +265,7 @@ def explore(
         finally:
             for predictor in predictors:
                 predictor.destroy()
-    return ExploreResult(explore_run.documents(body, chosen, found, predictors[0].level), "explore")
+    return ExploreResult.of(explore_run.documents(body, chosen, found, predictors[0].level), "explore")
 
 
 def _alone() -> Comm:
@@ -325,6 +325,6 @@ def _diagnosed(
 ) -> DiagnosisResult:
     def use(predictor: Predictor, here: Source, done: Diagnosis) -> DiagnosisResult:
         content: dict[str, Any] = collect(predictor, done)
-        return DiagnosisResult(diagnosis_documents(here, done, content), command)
+        return DiagnosisResult.of(diagnosis_documents(here, done, content), command)
 
     return on_predictor(source, comm, level, progress, work, use)

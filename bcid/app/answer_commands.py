@@ -17,6 +17,8 @@ from bcid.base.options import ExplainOptions, ExploreOptions, IdentifyOptions, P
 from bcid.base.progress import Progress, clear
 from bcid.base.run_folder import RunFolder
 from bcid.base.shipped import shipped
+from bcid.results.diagnosis_record import DiagnosisRecord
+from bcid.results.run_documents import read_record
 
 DEMO_SCENE = "examples/scenes/slab_explain.toml"
 DEMO_MEASUREMENT = "examples/measurements/slab-34-heavy"
@@ -37,7 +39,7 @@ def demo(arguments: argparse.Namespace, comm: Comm) -> None:
 
     clear()
     run = RunFolder.open(folder)
-    found = run.read_json("diagnosis.json")
+    found = read_record(run, DiagnosisRecord).converted("mm")
     tell("\n" + run.read_text("summary.txt").split("\n\n")[0])
     tell(f"{falling(found)}\n\nrun folder: {folder} (summary.txt tells more)")
     if not arguments.no_picture:
@@ -136,12 +138,12 @@ def _lacks_a_proposal(arguments: argparse.Namespace) -> bool:
         return False
     begun = folder / "propose"
     proposed = (begun / "run.json").is_file() and RunFolder.open(begun).record["state"] == "finished"
-    return not proposed and run.read_json("diagnosis.json")["verdict"] == "unknown"
+    return not proposed and read_record(run, DiagnosisRecord).verdict == "unknown"
 
 
 def _verdict(folder: Path, comm: Comm) -> str:
     """Of a run, the same on every rank."""
-    return str(on_root(comm, lambda: RunFolder.open(folder).read_json("diagnosis.json")["verdict"]))
+    return on_root(comm, lambda: read_record(RunFolder.open(folder), DiagnosisRecord).verdict)
 
 
 def propose(arguments: argparse.Namespace, comm: Comm) -> None:

@@ -152,7 +152,7 @@ def add_explore(commands: Any) -> None:
         explore,
         "choose and make pulls until the anchors are decided",
         "The scene's [explore] table says what a robot may do. A robot is a folder, through which any set-up can be driven,\n"
-        "or simulated. Writes a run folder: exploration.json, summary.txt, belief.png, and every pull with what was seen.\n"
+        "or simulated. Writes a run folder: exploration.json, summary.txt, posterior.png, and every pull with what was seen.\n"
         "An exploration that was stopped goes on when the same command is given again. See docs/explore.md.",
     )
     parser.add_argument("scene", type=Path, help="scene file (TOML) with an [explore] table")

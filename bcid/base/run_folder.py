@@ -19,7 +19,7 @@ import re
 import shutil
 import socket
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from importlib import metadata
 from io import BytesIO
@@ -39,7 +39,7 @@ from bcid.base.visible import visible
 if TYPE_CHECKING:
     import xarray as xr
 
-FORMAT = "bcid-run/1"
+FORMAT, _FIRST_FORMAT = "bcid-run/2", "bcid-run/1"
 # A name of what a command makes: a file, or with a slash at its end a folder.
 _NAME = re.compile(r"[A-Za-z0-9][\w.-]*/?", re.ASCII)
 _KEYS = ("command", "state", "inputs", "versions", "attempts", "seconds", "checksum")
@@ -144,7 +144,7 @@ class RunFolder:
             raise InputError(
                 f"{path}: was begun with other versions of bcid or DOLFINx; choose another folder, or add --overwrite"
             )
-        record |= {"state": "running", "attempts": record["attempts"] + 1}
+        record |= {"format": FORMAT, "state": "running", "attempts": record["attempts"] + 1}
         run = cls(path, record, lock)
         run._save()
         return run
@@ -288,14 +288,26 @@ class RunFolder:
             else:
                 self.write_text(name, content)
 
-    def read_documents(self) -> dict[str, Any]:
-        """What the run wrote into its folder itself, by file name, as for `write_documents`; `InputError` when damaged."""
+    @property
+    def first_format(self) -> bool:
+        """Whether its JSON files have the keys of format/1."""
+        return bool(self.record["format"] == _FIRST_FORMAT)
+
+    def read_documents(self, but: Collection[str] = ()) -> dict[str, Any]:
+        """What the run wrote into its folder itself, by file name, as for `write_documents`; `InputError` when damaged.
+
+        `but` names files that are not read.
+        """
         read: dict[str, Callable[[str], Any]] = {
             ".json": self.read_json,
             ".nc": self.read_dataset,
             ".txt": self.read_text,
         }
-        names = [name for name in self.record.get("files", {}) if "/" not in name and Path(name).suffix in read]
+        names = [
+            name
+            for name in self.record.get("files", {})
+            if "/" not in name and Path(name).suffix in read and name not in but
+        ]
         return {name: read[Path(name).suffix](name) for name in names}
 
     def read_text(self, name: str) -> str:
@@ -426,7 +438,7 @@ def _empty(path: Path) -> None:
 def _read_record(path: Path) -> dict[str, Any]:
     file = path / "run.json"
     record = _parsed(_read(path, file.name), file)
-    if not isinstance(record, dict) or record.get("format") != FORMAT:
+    if not isinstance(record, dict) or record.get("format") not in (FORMAT, _FIRST_FORMAT):
         raise InputError(f"{file}: is not a run of this version (expected format '{FORMAT}')")
     missing = [key for key in _KEYS if key not in record]
     if missing:

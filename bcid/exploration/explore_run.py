@@ -44,13 +44,23 @@ from bcid.inference.thresholds import THRESHOLDS
 from bcid.measurement import Measurement
 from bcid.predict.pull_predictor import PullPredictor
 from bcid.predict.store import PredictionStore
+from bcid.results.common_rows import ParameterRow
+from bcid.results.exploration_record import (
+    ExcludedPull,
+    ExplorationHypothesis,
+    ExplorationRecord,
+    ExplorationStep,
+    PosteriorHypothesis,
+    PullOption,
+)
+from bcid.results.run_documents import write_documents
 from bcid.scene import Scene
 from bcid.search.answer.identify_run import odd, stiffness_in_words
 
 SIMULATED, FOLDER = "simulated", "folder"
 # So many sets are named in a sentence.
 _NAMED = 6
-MAKES = ("steps/", "predictions/", "exploration.json", "summary.txt", "belief.png")
+MAKES = ("steps/", "predictions/", "exploration.json", "summary.txt", "posterior.png")
 
 
 def run_exploration(
@@ -199,8 +209,8 @@ def _write(
 ) -> None:
     assert run is not None
     content = documents(scene, options, found, predictors[0].level)
-    run.write_documents(content)
-    result = content["exploration.json"]
+    write_documents(run, content)
+    result = content["exploration.json"].to_json()
     evaluations = {str(p.level): p.evaluations for p in predictors}
     run.record |= {"names": {"scene": source}, "ranks": ranks, "evaluations": evaluations}
     run.record["tangents"] = sum(p.tangents for p in predictors)
@@ -211,84 +221,86 @@ def documents(scene: Scene, options: ExploreOptions, found: Exploration, level: 
     """What a run folder holds of an exploration, by file name: JSON objects and texts."""
     body = measures(scene, level_mesh(scene, scene.levels[level]))
     lines = [summary(scene, options, found), *body]
-    return {"exploration.json": exploration_json(scene, found), "summary.txt": "\n".join(lines) + "\n"}
+    return {"exploration.json": exploration_record(scene, found), "summary.txt": "\n".join(lines) + "\n"}
 
 
-def exploration_json(scene: Scene, found: Exploration) -> dict[str, Any]:
-    """The exploration as JSON: lengths in mm."""
+def exploration_record(scene: Scene, found: Exploration) -> ExplorationRecord:
+    """The content of `exploration.json`, lengths in mm."""
     view = found.view
-    return {
-        "reason": found.reason,
-        "anchored": _sorted(view.best.anchors, scene),
-        "effect": view.best.effect,
-        "probability": view.certainty,
-        "patches": view.patches,
-        "effects": view.effects,
-        "amounts": amounts(view),
-        "entropy": view.entropy,
-        "rms": _finite(view.rms * 1e3),
-        "missed": _finite(view.missed),
-        "missing": view.missing,
-        "stiffness": view.stiffness.to_json() if view.stiffness else None,
-        "length_unit": "mm",
-        "remarks": list(found.remarks),
-        "not_allowed": [{"pull": str(o.move), "reason": o.forbidden} for o in found.options if o.forbidden],
-        "not_separated": [_named(h, scene) for h in found.rivals],
-        "steps": [_step_json(scene, step) for step in found.steps],
-    }
+    record = ExplorationRecord(
+        reason=found.reason,
+        anchored=_sorted(view.best.anchors, scene),
+        effect=view.best.effect,
+        probability=view.certainty,
+        patches=view.patches,
+        effects=view.effects,
+        parameters=parameters(view),
+        entropy=view.entropy,
+        rms=_finite(view.rms),
+        normalised_rms=_finite(view.missed),
+        discrepancy_probability=view.missing,
+        stiffness=view.stiffness.record() if view.stiffness else None,
+        remarks=tuple(found.remarks),
+        not_allowed=tuple(ExcludedPull(pull=str(o.move), reason=o.forbidden) for o in found.options if o.forbidden),
+        not_separated=tuple(_hypothesis(h, scene) for h in found.rivals),
+        steps=tuple(_step(scene, step) for step in found.steps),
+    )
+    return record.converted("mm")
 
 
-def _step_json(scene: Scene, step: Step) -> dict[str, Any]:
+def _step(scene: Scene, step: Step) -> ExplorationStep:
     likely = [(h, p) for h, p in step.view.probabilities.items() if p > 1e-4][:16]
-    return {
-        "number": step.number,
-        "grasp": step.move.grasp,
-        "direction": step.move.direction,
-        "amplitude": step.move.amplitude * 1e3,
-        "expected_bits": _finite(step.expected[0]),
-        "expected_error": _finite(step.expected[1]),
-        "gained_bits": step.gained,
-        "entropy": step.view.entropy,
-        "belief": [_named(h, scene) | {"probability": p} for h, p in likely],
-        "patches": step.view.patches,
-        "effects": step.view.effects,
-        "missed": _finite(step.view.missed),
-        "missing": step.view.missing,
-        "before": None if step.ahead is None else str(step.ahead),
-        "options": [
-            {
-                "pull": str(o.move),
-                "bits": _finite(o.expected.bits),
-                "error": _finite(o.expected.error),
-                "cost": o.price,
-                "linear": o.linear,
-                "forbidden": o.forbidden,
-            }
+    return ExplorationStep(
+        number=step.number,
+        grasp=step.move.grasp,
+        direction=step.move.direction,
+        amplitude=step.move.amplitude,
+        expected_bits=_finite(step.expected[0]),
+        expected_stderr=_finite(step.expected[1]),
+        gained_bits=step.gained,
+        entropy=step.view.entropy,
+        posterior=tuple(
+            PosteriorHypothesis(anchored=_sorted(h.anchors, scene), effect=h.effect, probability=p) for h, p in likely
+        ),
+        patches=step.view.patches,
+        effects=step.view.effects,
+        normalised_rms=_finite(step.view.missed),
+        discrepancy_probability=step.view.missing,
+        outbound=None if step.ahead is None else str(step.ahead),
+        options=tuple(
+            PullOption(
+                pull=str(o.move),
+                expected_bits=_finite(o.expected.bits),
+                expected_stderr=_finite(o.expected.error),
+                cost=o.price,
+                linear=o.linear,
+                forbidden=o.forbidden,
+            )
             for o in step.options
-        ],
-        "spent": step.spent,
-        "predicted": step.predicted,
-        "seconds": round(step.seconds, 3),
-    }
+        ),
+        spent=step.spent,
+        predicted=step.predicted,
+        seconds=round(step.seconds, 3),
+    )
 
 
-def _named(hypothesis: Hypothesis, scene: Scene) -> dict[str, Any]:
-    return {"anchored": _sorted(hypothesis.anchors, scene), "effect": hypothesis.effect}
+def _hypothesis(h: Hypothesis, scene: Scene) -> ExplorationHypothesis:
+    return ExplorationHypothesis(anchored=_sorted(h.anchors, scene), effect=h.effect)
 
 
-def amounts(view: PosteriorSummary) -> dict[str, dict[str, Any]]:
+def parameters(view: PosteriorSummary) -> dict[str, ParameterRow]:
     """Numbers of the likeliest hypothesis' effect, SI, with standard errors."""
     fitted = view.fitted.get(view.best)
     if fitted is None:
         return {}
     return {
-        name: {"value": _finite(value), "stderr": _finite(error), "unit": fitted.unit(name)}
+        name: ParameterRow(value=_finite(value), stderr=_finite(error), unit=fitted.unit(name))
         for name, (value, error) in fitted.amounts.items()
     }
 
 
-def _sorted(anchors: frozenset[str], scene: Scene) -> list[str]:
-    return [name for name in scene.patches if name in anchors]
+def _sorted(anchors: frozenset[str], scene: Scene) -> tuple[str, ...]:
+    return tuple(name for name in scene.patches if name in anchors)
 
 
 def _finite(value: float) -> float | None:
@@ -344,11 +356,11 @@ def summary(scene: Scene, options: ExploreOptions, found: Exploration) -> str:
         BUDGET: f"Not decided: the budget is used ({pulls}); the likeliest is {best} (probability {percent(view.certainty)})",
     }
     lines = [*odd(found.remarks), words[found.reason]]
-    for name, number in amounts(view).items():
-        if number["value"] is not None and number["stderr"] is not None:
-            value, error, unit = for_people(number["value"], number["stderr"], number["unit"])
+    for name, number in parameters(view).items():
+        if number.value is not None and number.stderr is not None:
+            value, error, unit = for_people(number.value, number.stderr, number.unit)
             lines.append(f"  {name} = {value:.4g} +- {error:.2g} {unit}")
-    lines += stiffness_in_words(view.stiffness)
+    lines += stiffness_in_words(view.stiffness.record() if view.stiffness else None)
     if options.consider:
         lines += ["", *_about_effects(options, found)]
     if view.missing >= THRESHOLDS.credible:

@@ -8,16 +8,17 @@ from pathlib import Path
 from typing import Any
 
 from bcid.base.options import ProposeOptions
-from bcid.base.units import unit_factor
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
 from bcid.grammar import proposal_text
 from bcid.grammar.effect_file import made, source
-from bcid.grammar.propose import Proposal, ladder, propose
+from bcid.grammar.propose import Entry, Proposal, ladder, propose
 from bcid.predict.predictor import Predictor
+from bcid.results.common_rows import ParameterRow
+from bcid.results.proposal_record import ProposalRecord, ProposedTerm, ScoredTerm, TermStep
 from bcid.search.answer.diagnosis import Diagnosis
 from bcid.search.answer.law_form import LawForm
-from bcid.search.answer.output import beliefs, documents, finite
+from bcid.search.answer.output import documents, finite, with_posterior
 from bcid.search.answer.source import Source
 from bcid.search.answer.where import missing_force
 
@@ -69,60 +70,54 @@ def proposal_documents(
     paths = [Path(f"{name}.py") for name in written.files]
     here = replace(here, files=(*here.files, *paths), own=(*here.own, *written.effects))
     result = documents(here, done, content)
-    result["diagnosis.json"] |= beliefs(found.explanation, list(predictor.whole.patches))
+    diagnosis = with_posterior(result["diagnosis.json"], found.explanation, list(predictor.whole.patches))
     if not written.files:
-        result["diagnosis.json"]["verdict"] = found.explanation.verdict
-    result["proposal.json"] = _json(written, here.measurement.units.length)
+        diagnosis = replace(diagnosis, verdict=found.explanation.verdict)
+    # Lists of what competes with a proposal are its path.
+    result["diagnosis.json"] = replace(diagnosis, ambiguous_with=())
+    result["proposal.json"] = proposal_record(written).converted(here.measurement.units.length)
     lines = [*proposal_text.headline(found), "", *proposal_text.path(found), ""]
     result["summary.txt"] = "\n".join(lines) + "\n" + result["summary.txt"]
     return result
 
 
-def _json(written: WrittenProposal, length: str) -> dict[str, Any]:
-    """The content of `proposal.json`: numbers of terms in SI units, residuals in a unit of length."""
-    unit, found = unit_factor(length, "m"), written.proposal
+def proposal_record(written: WrittenProposal) -> ProposalRecord:
+    """The content of `proposal.json`: numbers of terms in SI units, lengths in m."""
+    found = written.proposal
     form = LawForm.of(found.explanation.last.fitted)
-    return {
-        "length_unit": length,
-        "proposed": [_term(written, k, name) for k, name in enumerate(written.files)],
-        "complete": found.complete,
-        "missing": found.missing,
-        "explained": found.explained if found.path else 0.0,
-        "scored": found.scored,
-        "law_form": form.to_json() if form and form.seen else None,
-        "path": [
-            {
-                "beside": entry.beside,
-                "entered": entry.family.name,
-                "rms": None if entry.rms is None else entry.rms / unit,
-                "competed": [
-                    {
-                        "family": one.family.name,
-                        "expected_rms": one.row.expected_rms / unit,
-                        "log_evidence": finite(one.log),
-                    }
-                    for one in entry.competed[:_COMPETED]
-                ],
-            }
-            for entry in found.path
-        ],
-    }
+    return ProposalRecord(
+        proposed=tuple(_term(written, k, name) for k, name in enumerate(written.files)),
+        complete=found.complete,
+        discrepancy_probability=found.missing,
+        explained_fraction=found.explained if found.path else 0.0,
+        scored=found.scored,
+        law_form=form.rows() if form and form.seen else None,
+        path=tuple(_step(entry) for entry in found.path),
+    )
 
 
-def _term(written: WrittenProposal, number: int, name: str) -> dict[str, Any]:
+def _step(entry: Entry) -> TermStep:
+    candidates = tuple(
+        ScoredTerm(family=one.family.name, expected_rms=one.row.expected_rms, log_evidence=finite(one.log))
+        for one in entry.competed[:_COMPETED]
+    )
+    return TermStep(beside=entry.beside, selected=entry.family.name, rms=entry.rms, candidates=candidates)
+
+
+def _term(written: WrittenProposal, number: int, name: str) -> ProposedTerm:
     found = written.proposal
     term, entry = found.terms[number], found.path[number]
     errors = found.stderr(term)
-    return {
-        "effect": name,
-        "family": entry.family.name,
-        "kind": entry.family.kind,
-        "about": entry.family.about,
-        "formula": entry.family.formula,
-        "place": term.place,
-        "parameters": {
-            p.name: {"value": term.values[p.name], "stderr": finite(errors.get(p.name)), "unit": p.unit}
+    return ProposedTerm(
+        effect=name,
+        family=entry.family.name,
+        kind=entry.family.kind,
+        about=entry.family.about,
+        formula=entry.family.formula,
+        place=term.place,
+        parameters={
+            p.name: ParameterRow(value=term.values[p.name], stderr=finite(errors.get(p.name)), unit=p.unit)
             for p in term.effect.parameters
         },
-        "file": written.files[name],
-    }
+        file=written.files[name],
+    )

@@ -75,6 +75,7 @@ def _law_beside(proposal: Proposal) -> str:
     fitted = proposal.explanation.last.fitted
     model, stderr, told = fitted.state.model, fitted.stderr, list[str]()
     scale = StiffnessScale.of(fitted.state.predictor.whole)
+    times = " x thickness" if scale.per_thickness else ""
     for name in sorted(set(fitted.values) & set(model.stiffnesses)):
         first = Model.of(fitted.state.predictor.whole).stiffnesses[name] * scale.factor
         value, wide = fitted.values[name] * scale.factor, WIDE * stderr[name] * scale.factor
@@ -83,7 +84,7 @@ def _law_beside(proposal: Proposal) -> str:
             if wide < value
             else f"{value:.3g} {scale.unit} (these data do not tell it"
         )
-        told.append(f"{name}{scale.times} = {found}; the scene has {first:.6g})")
+        told.append(f"{name}{times} = {found}; the scene has {first:.6g})")
     return f" The law beside it: {', '.join(told)}.".replace("−", "-") if told else ""
 
 

@@ -18,6 +18,8 @@ from bcid.grammar.effect_file import check_name
 from bcid.grammar.proposal_documents import WrittenProposal, proposal_documents, searched
 from bcid.predict.predictor import Predictor
 from bcid.predict.store import PredictionStore
+from bcid.results.diagnosis_record import DiagnosisRecord
+from bcid.results.run_documents import file_of, read_record
 from bcid.search.answer.compare_runs import MAKES, finish
 from bcid.search.answer.diagnosis import Diagnosis, on_predictor
 from bcid.search.answer.output import collect
@@ -106,9 +108,9 @@ def _refuse_existing(files: Sequence[Path]) -> None:
 def _begun(run: Path, given: Source) -> Model:
     """The model that terms are added to: that of the run, or where `explain` found no effect for sure that of the scene."""
     stored = RunFolder.open(run)
-    if stored.holds("diagnosis.json"):
-        found = stored.read_json("diagnosis.json")
-        if "probabilities" in found and found.get("verdict") == "unknown":
+    if file_of(stored, DiagnosisRecord):
+        found = read_record(stored, DiagnosisRecord)
+        if found.posterior is not None and found.verdict == "unknown":
             return Model.of(given.scene)
     return given.model
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from bcid.base.units import for_people
-from bcid.base.verdict_words import used_up
 from bcid.inference.driven_errors import DRIVEN
 from bcid.inference.error_covariance import NuisanceEstimate
+from bcid.results.common_rows import InputUncertaintyRow
+from bcid.results.words import exceeding
 from bcid.scene.uncertainty import ANGLES, FORCES, LENGTHS
 
 # What is off.
@@ -39,10 +39,9 @@ def _at_length(one: NuisanceEstimate) -> str:
     return f"{off}, where {_amount(one, one.size)} is allowed for (a standard deviation)"
 
 
-def warnings(told: Sequence[NuisanceEstimate]) -> list[str]:
+def warnings(rows: Sequence[InputUncertaintyRow]) -> list[str]:
     """Lines of a summary on what is larger than the scene says; one where that is more than two."""
-    larger = [(_at_length(one), _briefly(one)) for one in told if one.used_up]
-    return [f"WARNING: {text}." for text in used_up(larger)]
+    return [f"WARNING: {text}." for text in exceeding(rows)]
 
 
 def _briefly(one: NuisanceEstimate) -> str:
@@ -50,23 +49,29 @@ def _briefly(one: NuisanceEstimate) -> str:
     return f"{one.name.replace('_', ' ')} {_amount(one, one.most * one.size)} ({_amount(one, one.size)})"
 
 
-def allowed(told: Sequence[NuisanceEstimate]) -> list[str]:
+def allowed(rows: Sequence[InputUncertaintyRow]) -> list[str]:
     """A line of a summary: what the scene may have wrong, and what of it these data make likely."""
-    if not told:
+    if not rows:
         return []
-    parts = [f"{one.name} {_amount(one, one.size)} ({_amount(one, one.found)})" for one in told]
+    parts = [f"{one.name} {amount(one.name, one.stddev)} ({amount(one.name, one.estimate)})" for one in rows]
     return [
         f"Allowed for in the scene, as standard deviations (and what these data make likely): {', '.join(parts)}.",
     ]
 
 
-def to_json(told: Sequence[NuisanceEstimate]) -> list[dict[str, Any]]:
+def rows(estimates: Sequence[NuisanceEstimate]) -> tuple[InputUncertaintyRow, ...]:
     """As results hold them."""
-    return [
-        {"name": n.name, "stddev": n.size, "likely": n.found, "most_sigmas": n.most}
-        | {"used_up": _at_length(n) if n.used_up else "", "used_up_briefly": _briefly(n) if n.used_up else ""}
-        for n in told
-    ]
+    return tuple(
+        InputUncertaintyRow(
+            name=one.name,
+            stddev=one.size,
+            estimate=one.found,
+            largest_sigmas=one.most,
+            exceeds_prior=_at_length(one) if one.used_up else "",
+            exceeds_prior_short=_briefly(one) if one.used_up else "",
+        )
+        for one in estimates
+    )
 
 
 def _amount(one: NuisanceEstimate, value: float) -> str:

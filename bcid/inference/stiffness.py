@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +22,7 @@ from bcid.base.units import WIDE, unit_factor
 from bcid.forms.model import Model
 from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.nuisances import STIFFNESS
+from bcid.results.common_rows import StiffnessRecord, StiffnessRow
 from bcid.scene import Scene
 
 Array = NDArray[np.float64]
@@ -36,24 +36,19 @@ class StiffnessScale:
     Attributes:
         factor: number that is reported for one Pa.
         unit: of it.
-        times: what a constant is multiplied by, in words, after its name.
+        per_thickness: whether a constant is multiplied by the thickness.
     """
 
     factor: float = 1.0
     unit: str = "Pa"
-    times: str = ""
+    per_thickness: bool = False
 
     @classmethod
     def of(cls, scene: Scene) -> StiffnessScale:
         """Forces tell the product of stiffness and thickness alone: where the thickness is unknown, that is reported."""
         if scene.thickness is None or scene.thickness_known:
             return cls()
-        return cls(scene.thickness / unit_factor(_PER_THICKNESS, "N/m"), _PER_THICKNESS, " x thickness")
-
-    @property
-    def unknown(self) -> str:
-        """What is not known by itself, as a sentence for the end of a list of constants; "" where all is."""
-        return "; the thickness is unknown, so that the constants themselves are not known" if self.times else ""
+        return cls(scene.thickness / unit_factor(_PER_THICKNESS, "N/m"), _PER_THICKNESS, True)
 
 
 @dataclass(frozen=True)
@@ -111,34 +106,21 @@ class Stiffness:
         """Of a constant that the model has with this value, with 95 %, in its unit."""
         return value * math.exp(self.log - WIDE * self.log_error), value * math.exp(self.log + WIDE * self.log_error)
 
-    @property
-    def text(self) -> str:
-        """As in summaries: "young = 15210 Pa (95 %: 14600 to 15900; the scene has 15000)"."""
-        times, unit, one = self.scale.times, self.scale.unit, self.scale.factor
-        told = ", ".join(
-            f"{name}{times} = {self.factor * value * one:.4g} {unit} (95 %: {low * one:.3g} to {high * one:.3g}; "
-            f"the scene has {self.stated[name] * one:.6g})"
-            for name, value in self.constants.items()
-            for low, high in [self.interval(value)]
-        )
-        return told + self.scale.unknown
-
-    def to_json(self) -> dict[str, Any]:
+    def record(self) -> StiffnessRecord:
         """As results hold it: constants in Pa, or those of a sheet of unknown thickness times it, in N/mm."""
         one = self.scale.factor
-        return {
-            "constants": {
-                name: {
-                    "value": self.factor * value * one,
-                    "stderr": self.stderr * value * one,
-                    "interval": [end * one for end in self.interval(value)],
-                    "scene": self.stated[name] * one,
-                    "unit": self.scale.unit,
-                    "per_thickness": bool(self.scale.times),
-                }
-                for name, value in self.constants.items()
-            },
+        rows = {
+            name: StiffnessRow(
+                value=self.factor * value * one,
+                stderr=self.stderr * value * one,
+                interval=tuple(end * one for end in self.interval(value)),
+                scene=self.stated[name] * one,
+                unit=self.scale.unit,
+                per_thickness=self.scale.per_thickness,
+            )
+            for name, value in self.constants.items()
         }
+        return StiffnessRecord(constants=rows)
 
 
 def log_factor(shift: float, error: float, prior: float) -> tuple[float, float]:

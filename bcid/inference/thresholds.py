@@ -19,7 +19,7 @@ class Thresholds:
         detection: an amount is seen where its standard deviation before the data is so many times that after, and significant where
             it is so many standard errors from nothing.
         explained: a model may be named although something is missing besides when it explains this part of what its errors leave.
-        astray: how often a marker goes astray.
+        outlier: how often a marker is an outlier.
     """
 
     surprise: float = 0.01
@@ -29,7 +29,7 @@ class Thresholds:
     effect: float = 0.5
     detection: float = 3.0
     explained: float = 0.95
-    astray: float = 0.01
+    outlier: float = 0.01
 
     @property
     def odds(self) -> float:

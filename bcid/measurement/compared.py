@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -157,10 +156,6 @@ class LeftOut:
     frames: int
     rms: float
     compared: float
-
-    def to_json(self, length: float) -> dict[str, Any]:
-        """For a run folder, lengths in units of `length` (m)."""
-        return {"frames": self.frames, "rms": self.rms / length, "compared_rms": self.compared / length}
 
     def __str__(self) -> str:
         return (

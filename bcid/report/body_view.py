@@ -35,7 +35,7 @@ def view_data(found: Found) -> dict[str, Any] | None:
     Raises:
         ValueError, KeyError: `body.nc` or the positions are damaged.
     """
-    if found.body is None or found.positions is None or not found.result:
+    if found.body is None or found.positions is None or not (found.diagnosis or found.identification):
         return None
     residual = residuals_of(found)
     body, positions = found.body, found.positions
@@ -76,7 +76,7 @@ def view_data(found: Found) -> dict[str, Any] | None:
 
 def _shown_first(found: Found, missed: Array, body: xr.Dataset, positions: xr.Dataset) -> tuple[int, float]:
     """The frame that tells most, and how much longer than they are arrows (mm) are drawn in it."""
-    frame = worst_frame(missed) if "diagnosis" in found.documents else telling_frame(positions)
+    frame = worst_frame(missed) if found.diagnosis else telling_frame(positions)
     longest = np.max(np.linalg.norm(missed[frame], axis=1), initial=0.0, where=np.isfinite(missed[frame]).all(axis=1))
     return frame, max(1.0, round_length(LONGEST * diagonal(body) / longest if longest > 0 else 1.0))
 
@@ -87,8 +87,8 @@ def _packed(values: NDArray[Any], kind: str) -> str:
 
 def _places(found: Found, body: xr.Dataset) -> list[dict[str, Any]]:
     """Of each number in `place`: what it is called, what it is, and what is believed of it."""
-    anchored = [str(name) for name in found.result.get("anchored", [])]
-    probabilities = found.documents.get("identification", {}).get("patches", {})
+    anchored = found.anchored
+    probabilities = found.identification.patches if found.identification else {}
     made = []
     for full in (str(name) for name in body["place_name"].values):
         kind, _, name = full.partition(" ")

@@ -4,8 +4,8 @@ falling error.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -20,6 +20,7 @@ from bcid.base.units import force_unit, percent, uncertain
 from bcid.report.figure import COLOURS, MAP, Image, body_entries, completed, cropped, head, round_length
 from bcid.report.scene3d import BodyPicture
 from bcid.report.text import conclusion, model_name
+from bcid.results.diagnosis_record import DiagnosisRecord, DiscrepancyRecord, ForceRow
 
 Array = NDArray[np.float64]
 
@@ -37,16 +38,16 @@ _NOTHING = 0.1
 # -- what the models miss
 
 
-def residual_figure(found: dict[str, Any], body: xr.Dataset, residuals: xr.Dataset) -> Figure:
+def residual_figure(found: DiagnosisRecord, body: xr.Dataset, residuals: xr.Dataset) -> Figure:
     """The residual of the first model as arrows, of a dense field as a map, beside that of the last one in the same scale."""
     measured, last = residuals["measured"].values * 1e3, residuals["predicted"].values * 1e3
     first = residuals["predicted_first"].values * 1e3
     frame = worst_frame(measured - first)
     length = np.linalg.norm((completed(measured, first) - first)[frame], axis=1)
     scale = round_length(LONGEST * diagonal(body) / float(np.nanmax(length)))
-    panels = [(found["ladder"][0], first)]
-    if len(found["ladder"]) > 1:
-        panels.append((found["ladder"][-1], last))
+    panels = [(found.model_sequence[0], first)]
+    if len(found.model_sequence) > 1:
+        panels.append((found.model_sequence[-1], last))
     shown = [(completed(measured, predicted) - predicted)[frame] for _, predicted in panels]
     most = max(float(np.nanmax(np.linalg.norm(missed, axis=1))) for missed in shown)
     dense, grasp = measured.shape[1] > _ARROWS, str(residuals["grasp"].values[frame])
@@ -54,16 +55,16 @@ def residual_figure(found: dict[str, Any], body: xr.Dataset, residuals: xr.Datas
     for (_, predicted), missed in zip(panels, shown, strict=True):
         seen = np.isfinite(missed).all(axis=1)
         scene = BodyPicture(body, frame, _SIZE)
-        scene.add_body(found["anchored"], grasp)
+        scene.add_body(found.anchored, grasp)
         if dense:
             scene.add_field(predicted[frame][seen], np.linalg.norm(missed[seen], axis=1), most)
         else:
             scene.add_arrows(predicted[frame][seen], scale * missed[seen])
         images.append(scene.image())
-    titles = [f"{model_name(rung['model'])}: {rung['rms']:.3g} mm" for rung, _ in panels]
+    titles = [f"{model_name(rung.model)}: {rung.rms:.3g} mm" for rung, _ in panels]
     figure = _panels(images, titles)
     what = "What the model misses" if len(panels) == 1 else "What the models miss"
-    text = f"{what}: residual per coordinate (RMS), noise {found['noise_rms']:.3g} mm"
+    text = f"{what}: residual per coordinate (RMS), noise {found.noise_rms:.3g} mm"
     head(figure, f"{body.attrs.get('scene', 'body')}: {conclusion(found)}", text)
     where = f"action {residuals['action'].values[frame]}, step {int(residuals['step'].values[frame])}"
     arrow = "" if dense else f"measured − predicted, {scale:g} × as long as it is ({where})"
@@ -94,22 +95,24 @@ class _Force:
     """A missing force that acts in all frames (`action` ""), or grows in an action: on each region, and in all."""
 
     action: str
-    regions: list[dict[str, Any]]
-    whole: dict[str, Any]
+    regions: Sequence[ForceRow]
+    whole: ForceRow
 
-    def told(self, tries: int) -> list[dict[str, Any]]:
+    def told(self, tries: int) -> list[ForceRow]:
         """The forces on regions that can be told, or their sum where that can be told alone."""
         return [p for p in self.regions if _told(p, tries)] or [p for p in (self.whole,) if _told(p, tries)]
 
-    def title(self, told: list[dict[str, Any]], per_newton: float, newtons: str) -> str:
+    def title(self, told: list[ForceRow], per_newton: float, newtons: str) -> str:
         """When the force acts, what it is together (as `force_unit` has it), and on how many of the regions it can be told."""
         when = f"growing in action {self.action}" if self.action else "in all frames"
-        together = " ".join(f"{per_newton * v:+.3g}" for v in self.whole["force"]).replace("-", "−")
+        together = " ".join(f"{per_newton * v:+.3g}" for v in self.whole.force).replace("-", "−")
         on = f"{len(told)} of {len(self.regions)} regions" if told[0] in self.regions else "no single region"
         return f"{when}: together ({together}) {newtons},\ntold on {on}"
 
 
-def where_figure(found: dict[str, Any], where: dict[str, Any], body: xr.Dataset, residuals: xr.Dataset) -> Figure:
+def discrepancy_figure(
+    found: DiagnosisRecord, where: DiscrepancyRecord, body: xr.Dataset, residuals: xr.Dataset
+) -> Figure:
     """The force that would explain the residual: its steady part, and the largest of those that grow in an action.
 
     Only forces that chance does not make are drawn, each with its size and its standard error: those on regions, or where no
@@ -119,19 +122,19 @@ def where_figure(found: dict[str, Any], where: dict[str, Any], body: xr.Dataset,
     largest = max((_size(place) for _, places in shown for place in places), default=1.0)
     per_newton, newtons = force_unit(largest)
     images, titles = [], []
-    panels: list[tuple[_Force | None, list[dict[str, Any]]]] = [*shown] or [(None, [])]
+    panels: list[tuple[_Force | None, list[ForceRow]]] = [*shown] or [(None, [])]
     for force, places in panels:
-        starts, forces = (np.array([p[what] for p in places]).reshape(-1, 3) for what in ("position", "force"))
+        starts, forces = (np.array([getattr(p, what) for p in places]).reshape(-1, 3) for what in ("position", "force"))
         scene = BodyPicture(body, None, _SIZE)
-        scene.add_body(found["anchored"], _grasp(residuals, force.action if force else ""))
-        texts = [uncertain(per_newton * _size(p), per_newton * p["stderr"]) for p in places]
+        scene.add_body(found.anchored, _grasp(residuals, force.action if force else ""))
+        texts = [uncertain(per_newton * _size(p), per_newton * p.stderr) for p in places]
         scene.add_arrows(starts, LONGEST * diagonal(body) / largest * forces, texts)
         images.append(scene.image())
         titles.append(force.title(places, per_newton, newtons) if force else "")
     figure = _panels(images, titles)
-    model = model_name(found["ladder"][-1 if found["adequate"] is False else 0]["model"])
-    left = f"{percent(where['explained'])} of what is beyond noise, and leave {where['rms']:.3g} mm"
-    if where["explained"] < _NOTHING:
+    model = model_name(found.model_sequence[-1 if found.adequate is False else 0].model)
+    left = f"{percent(where.explained_fraction)} of what is beyond noise, and leave {where.rms:.3g} mm"
+    if where.explained_fraction < _NOTHING:
         text = f"The {model} model leaves nothing beyond noise that a force on the body explains"
         head(figure, "No missing force can be told", text)
     elif not shown:
@@ -145,30 +148,30 @@ def where_figure(found: dict[str, Any], where: dict[str, Any], body: xr.Dataset,
     return figure
 
 
-def _shown(where: dict[str, Any]) -> list[tuple[_Force, list[dict[str, Any]]]]:
+def _shown(where: DiscrepancyRecord) -> list[tuple[_Force, list[ForceRow]]]:
     """The steady force and the strongest of those that grow, with their parts that can be told."""
-    together = where["together"]
-    forces = [_Force("", where["steady"], together["steady"])]
-    forces += [_Force(action, places, together["growing"][action]) for action, places in where["growing"].items()]
+    together = where.together
+    forces = [_Force("", where.steady, together.steady)]
+    forces += [_Force(action, places, together.growing[action]) for action, places in where.growing.items()]
     tries = sum(len(force.regions) + 1 for force in forces)
     told = [(force, places) for force in forces if (places := force.told(tries))]
     growing = sorted((one for one in told if one[0].action), key=lambda one: -_strength(one[1]))
-    return [*(one for one in told if not one[0].action), *growing[:1]] if where["explained"] >= _NOTHING else []
+    return [*(one for one in told if not one[0].action), *growing[:1]] if where.explained_fraction >= _NOTHING else []
 
 
-def _told(place: dict[str, Any], tries: int) -> bool:
+def _told(place: ForceRow, tries: int) -> bool:
     """Whether chance would not make so large a force on any of so many regions (Bonferroni)."""
-    ratio = _size(place) / max(place["stderr"], 1e-300)
+    ratio = _size(place) / max(place.stderr, 1e-300)
     return bool(chi2_tail(min(ratio, 1e6) ** 2, 3) * tries < _CHANCE)
 
 
-def _size(place: dict[str, Any]) -> float:
-    return float(np.linalg.norm(place["force"]))
+def _size(place: ForceRow) -> float:
+    return float(np.linalg.norm(place.force))
 
 
-def _strength(places: list[dict[str, Any]]) -> float:
+def _strength(places: list[ForceRow]) -> float:
     """How far forces exceed what can be told from none, in units of their errors."""
-    return sum((_size(p) / max(p["stderr"], 1e-300)) ** 2 for p in places)
+    return sum((_size(p) / max(p.stderr, 1e-300)) ** 2 for p in places)
 
 
 def _grasp(residuals: xr.Dataset, action: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from matplotlib.figure import Figure
 
 from bcid.base.units import percent
 from bcid.report.figure import DARK, short
+from bcid.results.exploration_record import ExplorationHypothesis, ExplorationRecord, ExplorationStep
 
 # Okabe & Ito; hatches tell them apart in black and white.
 _COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
@@ -17,13 +19,13 @@ _HATCHES = ("", "///", "...", "xx", "\\\\\\", "++")
 _OTHERS = "#BBBBBB"
 
 
-def belief_figure(found: dict[str, Any]) -> Figure:
+def posterior_figure(found: ExplorationRecord) -> Figure:
     """Bars of probability by pull (as Figures 13 and 14 of the paper), patches below, bits on the right."""
-    steps = found["steps"]
+    steps = found.steps
     figure = Figure(figsize=(12, 6.4), facecolor="white")
     grid = figure.add_gridspec(2, 2, width_ratios=[2.1, 1], height_ratios=[1.25, 1], hspace=0.5, wspace=0.2)
     # Names of effects need room.
-    rivals = bool(steps) and len(steps[0]["effects"]) > 1
+    rivals = bool(steps) and len(steps[0].effects) > 1
     grid.update(left=0.11 if rivals else 0.065, right=0.98, top=0.86, bottom=0.1)
     figure.suptitle(title(found), x=0.02, ha="left", fontsize=14, fontweight="bold")
     draw_patches(figure.add_subplot(grid[1, 0]), steps)
@@ -35,26 +37,26 @@ def belief_figure(found: dict[str, Any]) -> Figure:
     return figure
 
 
-def title(found: dict[str, Any]) -> str:
+def title(found: ExplorationRecord) -> str:
     """How the exploration ended."""
-    count = len(found["steps"])
+    count = len(found.steps)
     pulls = f"{count} pull{'s' if count != 1 else ''}"
-    if found["reason"] == "decided":
-        return f"anchored: {_name(found)}, probability {percent(found['probability'])}, after {pulls}"
-    if found["reason"] == "inseparable":
-        return "no allowed pull separates " + ", ".join(map(_name, found["not_separated"][:4]))
-    if found["reason"] == "unexplained":
+    if found.reason == "decided":
+        return f"anchored: {_name(found)}, probability {percent(found.probability)}, after {pulls}"
+    if found.reason == "inseparable":
+        return "no allowed pull separates " + ", ".join(map(_name, found.not_separated[:4]))
+    if found.reason == "unexplained":
         return f"nothing explains what was seen after {pulls}; likeliest {_name(found)}"
-    return f"not decided after {pulls}; likeliest {_name(found)}, probability {percent(found['probability'])}"
+    return f"not decided after {pulls}; likeliest {_name(found)}, probability {percent(found.probability)}"
 
 
-def _name(hypothesis: dict[str, Any]) -> str:
-    return "{" + " ".join(hypothesis["anchored"]) + "}" + (f" + {hypothesis['effect']}" if hypothesis["effect"] else "")
+def _name(hypothesis: ExplorationHypothesis | ExplorationRecord) -> str:
+    return "{" + " ".join(hypothesis.anchored) + "}" + (f" + {hypothesis.effect}" if hypothesis.effect else "")
 
 
-def draw_sets(axes: Axes, steps: list[dict[str, Any]]) -> None:
+def draw_sets(axes: Axes, steps: Sequence[ExplorationStep]) -> None:
     """One stacked bar per pull: the likeliest sets, the rest in grey."""
-    beliefs = [{_name(entry): entry["probability"] for entry in step["belief"]} for step in steps]
+    beliefs = [{_name(entry): entry.probability for entry in step.posterior} for step in steps]
     weight = {name: sum(belief.get(name, 0.0) for belief in beliefs) for belief in beliefs for name in belief}
     shown = sorted(weight, key=lambda name: -weight[name])[: len(_COLOURS)]
     # Few bars are not broad.
@@ -68,19 +70,19 @@ def draw_sets(axes: Axes, steps: list[dict[str, Any]]) -> None:
     axes.set_ylim(0, 1)
     axes.set_ylabel("probability")
     axes.set_xlim(0.4, len(steps) + 0.6)
-    names = [f"{short(step['grasp'])} {short(step['direction'])}\n{step['amplitude']:.3g} mm" for step in steps]
+    names = [f"{short(step.grasp)} {short(step.direction)}\n{step.amplitude:.3g} mm" for step in steps]
     axes.set_xticks(places, names)
 
 
-def draw_patches(axes: Axes, steps: list[dict[str, Any]]) -> None:
+def draw_patches(axes: Axes, steps: Sequence[ExplorationStep]) -> None:
     """Probability of each patch, and of each effect where there are rivals, by pull, as numbers on shades of grey."""
     if not steps:
         axes.set_axis_off()
         return
-    patches, count = len(steps[0]["patches"]), len(steps)
-    rivals = len(steps[0]["effects"]) > 1
-    rows = [[*step["patches"].values(), *(step["effects"].values() if rivals else ())] for step in steps]
-    names = [*steps[0]["patches"], *(name or "no effect" for name in steps[0]["effects"] if rivals)]
+    patches, count = len(steps[0].patches), len(steps)
+    rivals = len(steps[0].effects) > 1
+    rows = [[*step.patches.values(), *(step.effects.values() if rivals else ())] for step in steps]
+    names = [*steps[0].patches, *(name or "no effect" for name in steps[0].effects if rivals)]
     table = np.array(rows).T
     extent = (0.5, count + 0.5, len(names) - 0.5, -0.5)
     axes.imshow(table, cmap="Greys", vmin=0, vmax=1.25, aspect="auto", extent=extent)
@@ -95,13 +97,13 @@ def draw_patches(axes: Axes, steps: list[dict[str, Any]]) -> None:
     axes.set_ylabel("patch anchored,\neffect acting" if rivals else "patch anchored")
 
 
-def draw_bits(axes: Axes, steps: list[dict[str, Any]]) -> None:
+def draw_bits(axes: Axes, steps: Sequence[ExplorationStep]) -> None:
     """Expected against gained information, by pull."""
-    numbers = [step["number"] for step in steps]
-    known = [step for step in steps if step["expected_bits"] is not None]
-    places, expected = [step["number"] - 0.18 for step in known], [step["expected_bits"] for step in known]
-    errors = [2 * (step["expected_error"] or 0.0) for step in known]
-    axes.bar([n + 0.18 for n in numbers], [step["gained_bits"] for step in steps], 0.34, color=DARK, label="gained")
+    numbers = [step.number for step in steps]
+    known = [step for step in steps if step.expected_bits is not None]
+    places, expected = [step.number - 0.18 for step in known], [step.expected_bits or 0.0 for step in known]
+    errors = [2 * (step.expected_stderr or 0.0) for step in known]
+    axes.bar([n + 0.18 for n in numbers], [step.gained_bits for step in steps], 0.34, color=DARK, label="gained")
     style: dict[str, Any] = {"color": "white", "edgecolor": "black", "hatch": "///"}
     axes.bar(places, expected, 0.34, yerr=errors, label="expected (2 standard errors)", **style)
     axes.axhline(0, color="black", lw=0.8)

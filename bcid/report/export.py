@@ -140,8 +140,7 @@ def _tables(found: Found) -> dict[str, bytes]:
 def _paraview(found: Found) -> dict[str, bytes]:
     if found.body is None or found.positions is None:
         return {}
-    anchored = [str(name) for name in found.result.get("anchored", [])]
-    files = paraview_files(found.body, found.positions, anchored)
+    files = paraview_files(found.body, found.positions, found.anchored)
     return {f"paraview/{name}": content for name, content in files.items()}
 
 

@@ -5,17 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import xarray as xr
 
 from bcid.base.errors import BcidError, InputError
 from bcid.base.run_folder import RunFolder
-from bcid.base.units import unit_factor
 from bcid.report.text import clean
+from bcid.results.diagnosis_record import DiagnosisRecord, DiscrepancyRecord
+from bcid.results.exploration_record import ExplorationRecord
+from bcid.results.identification_record import IdentificationRecord
+from bcid.results.proposal_record import ProposalRecord
+from bcid.results.record import FileRecord
+from bcid.results.run_documents import file_of, read_record
 
-_DOCUMENTS = ("diagnosis", "identification", "exploration", "calibration", "tracking", "where", "model", "proposal")
 _TEXTS = ("summary.txt", "table.txt")
 # What damaged content makes the code raise that shows it, images and the drawing libraries included.
 DAMAGE = (
@@ -29,11 +33,9 @@ DAMAGE = (
     TypeError,
     ValueError,
 )
-# What is a length in the documents of a run.
-_RMS = ("rms", "noise_rms", "discretisation_rms", "held_out_rms", "best_rms", "expected_rms", "fitted_rms")
-_LENGTHS = frozenset((*_RMS, "distance", "position", "positions", "contributions"))
 # Longer texts are cut: they come from names and messages.
 _LONGEST = 4000
+_R = TypeVar("_R", bound=FileRecord)
 
 
 @dataclass
@@ -43,7 +45,9 @@ class Found:
     Attributes:
         path: its folder.
         record: the content of `run.json`.
-        documents: by name, as "diagnosis", what the folder's JSON files hold.
+        diagnosis, identification, exploration, discrepancy, proposal: records of its JSON files, lengths in mm; None where
+            they are not there, or damaged.
+        calibration, tracking: content of those files, or None.
         body: `body.nc`, or None.
         positions: measured and predicted positions (`residuals.nc` or `prediction.nc`), or None.
         tracks: `tracking.nc`, or None.
@@ -53,7 +57,13 @@ class Found:
 
     path: Path
     record: dict[str, Any]
-    documents: dict[str, dict[str, Any]] = field(default_factory=dict)
+    diagnosis: DiagnosisRecord | None = None
+    identification: IdentificationRecord | None = None
+    exploration: ExplorationRecord | None = None
+    discrepancy: DiscrepancyRecord | None = None
+    proposal: ProposalRecord | None = None
+    calibration: dict[str, Any] | None = None
+    tracking: dict[str, Any] | None = None
     body: xr.Dataset | None = None
     positions: xr.Dataset | None = None
     tracks: xr.Dataset | None = None
@@ -69,10 +79,13 @@ class Found:
         """
         run = RunFolder.open(path)
         found = cls(run.path, _cleaned(run.record))
-        for name in _DOCUMENTS:
-            content = found._part(run, f"{name}.json", _document)
-            if content is not None:
-                found.documents[name] = content
+        found.diagnosis = found._record(run, DiagnosisRecord)
+        found.identification = found._record(run, IdentificationRecord)
+        found.exploration = found._record(run, ExplorationRecord)
+        found.discrepancy = found._record(run, DiscrepancyRecord)
+        found.proposal = found._record(run, ProposalRecord)
+        found.calibration = found._part(run, "calibration.json", _document)
+        found.tracking = found._part(run, "tracking.json", _document)
         found.body = found._part(run, "body.nc", _dataset)
         arrays = "residuals.nc" if run.holds("residuals.nc") else "prediction.nc"
         found.positions = found._part(run, arrays, _dataset)
@@ -89,6 +102,14 @@ class Found:
             self.troubles.append(str(error))
             return None
 
+    def _record(self, run: RunFolder, kind: type[_R]) -> _R | None:
+        """A record in mm, with texts that can be shown; None where it is not there, or damaged."""
+        file = file_of(run, kind)
+        if file is None:
+            return None
+        record: _R | None = self._part(run, file, lambda run, _: read_record(run, kind, _cleaned).converted("mm"))
+        return record
+
     @property
     def command(self) -> str:
         """What was run, as "explain"."""
@@ -100,9 +121,10 @@ class Found:
         return str(self.record["state"])
 
     @property
-    def result(self) -> dict[str, Any]:
-        """The document that the verdict stands in; empty where there is none."""
-        return next(iter(self.documents.values()), {})
+    def anchored(self) -> tuple[str, ...]:
+        """The anchored patches of its result."""
+        record = self.diagnosis or self.identification or self.exploration
+        return record.anchored if record else ()
 
     @property
     def name(self) -> str:
@@ -132,10 +154,8 @@ def _document(run: RunFolder, name: str) -> dict[str, Any]:
     content = run.read_json(name)
     if not isinstance(content, dict):
         raise InputError(f"{run.path / name}: is damaged and cannot be read: it holds no table")
-    try:
-        return in_mm(_cleaned(content))
-    except InputError as error:
-        raise InputError(f"{run.path / name}: is damaged and cannot be read: {error}; repeat the run") from None
+    found: dict[str, Any] = _cleaned(content)
+    return found
 
 
 def _dataset(run: RunFolder, name: str) -> xr.Dataset:
@@ -146,21 +166,3 @@ def _dataset(run: RunFolder, name: str) -> xr.Dataset:
         data[variable] = (data[variable].dims, np.array([clean(str(v)) for v in values.flat]).reshape(values.shape))
     data.attrs = {key: clean(value) if isinstance(value, str) else value for key, value in data.attrs.items()}
     return data
-
-
-def in_mm(document: dict[str, Any]) -> dict[str, Any]:
-    """A document of a run with its lengths in mm, in which pages and pictures show them.
-
-    Raises:
-        InputError: its `length_unit` is no unit of length.
-    """
-    factor = unit_factor(str(document.get("length_unit", "mm")), "mm") * 1e3
-    return document if factor == 1.0 else _scaled(document, factor, False) | {"length_unit": "mm"}
-
-
-def _scaled(content: Any, factor: float, length: bool) -> Any:
-    if isinstance(content, dict):
-        return {key: _scaled(value, factor, length or key in _LENGTHS) for key, value in content.items()}
-    if isinstance(content, list):
-        return [_scaled(value, factor, length) for value in content]
-    return content * factor if length and type(content) in (int, float) else content

@@ -14,16 +14,17 @@ from bcid.base.units import percent
 from bcid.report.figure import COLOURS, body_entries, cropped, head, name_ticks
 from bcid.report.residual import rms
 from bcid.report.scene3d import BodyPicture
+from bcid.results.identification_record import IdentificationRecord
 
 
-def summary_figure(found: dict[str, Any], body: xr.Dataset, prediction: xr.Dataset) -> Figure:
+def summary_figure(found: IdentificationRecord, body: xr.Dataset, prediction: xr.Dataset) -> Figure:
     """The body with its anchors and trajectories; probabilities; the residual against the noise."""
     figure = Figure(figsize=(14, 7.6), facecolor="white")
     grid = figure.add_gridspec(2, 2, width_ratios=[2.15, 1], height_ratios=[1, 1], hspace=0.42, wspace=0.12)
     grid.update(left=0.015, right=0.975, top=0.85, bottom=0.1)
-    names = " ".join(found["anchored"]) or "none"
-    noise = "" if found["noise_rms"] is None else f", noise {found['noise_rms']:.2g} mm"
-    text = f"probability {percent(found['probability'])}   ·   residual {found['rms']:.3g} mm per coordinate{noise}"
+    names = " ".join(found.anchored) or "none"
+    noise = "" if found.noise_rms is None else f", noise {found.noise_rms:.2g} mm"
+    text = f"probability {percent(found.probability)}   ·   residual {found.rms:.3g} mm per coordinate{noise}"
     head(figure, f"{body.attrs.get('scene', 'body')}: anchored patches {{{names}}}", text)
     _draw_body(figure.add_subplot(grid[:, 0]), found, body, prediction)
     right = figure.add_subplot(grid[0, 1])
@@ -34,18 +35,18 @@ def summary_figure(found: dict[str, Any], body: xr.Dataset, prediction: xr.Datas
     return figure
 
 
-def body_figure(found: dict[str, Any], body: xr.Dataset, prediction: xr.Dataset) -> Figure:
+def body_figure(found: IdentificationRecord, body: xr.Dataset, prediction: xr.Dataset) -> Figure:
     """The body with its anchors and trajectories alone."""
     figure = Figure(figsize=(9.5, 7.4), facecolor="white")
     _draw_body(figure.add_axes((0.015, 0.12, 0.97, 0.84)), found, body, prediction)
     return figure
 
 
-def _draw_body(axes: Axes, found: dict[str, Any], body: xr.Dataset, prediction: xr.Dataset) -> None:
+def _draw_body(axes: Axes, found: IdentificationRecord, body: xr.Dataset, prediction: xr.Dataset) -> None:
     frame = telling_frame(prediction)
     grasp = str(prediction["grasp"].values[frame])
     scene = BodyPicture(body, frame, (1800, 1500))
-    scene.add_body(found["anchored"], grasp, 0.5)
+    scene.add_body(found.anchored, grasp, 0.5)
     scene.add_trajectories(prediction)
     axes.imshow(cropped([scene.image()])[0])
     axes.set_axis_off()
@@ -66,11 +67,11 @@ def telling_frame(prediction: xr.Dataset) -> int:
     return int(np.nanargmax(np.nanmean(away, axis=1)))
 
 
-def draw_probabilities(axes: Axes, found: dict[str, Any]) -> None:
+def draw_probabilities(axes: Axes, found: IdentificationRecord) -> None:
     """Bars of the patches' probabilities; those of the reported set are dark, the others hatched."""
-    names = list(found["patches"])
-    values = np.array([found["patches"][name] for name in names], dtype=float)
-    held = np.array([name in found["anchored"] for name in names], dtype=bool)
+    names = list(found.patches)
+    values = np.array([found.patches[name] for name in names], dtype=float)
+    held = np.array([name in found.anchored for name in names], dtype=bool)
     places = np.arange(len(names))
     styles: tuple[dict[str, Any], ...] = ({"color": COLOURS.anchored}, {"color": COLOURS.free, "hatch": "///"})
     for chosen, style in zip((held, ~held), styles, strict=True):
@@ -83,9 +84,9 @@ def draw_probabilities(axes: Axes, found: dict[str, Any]) -> None:
     axes.set_ylabel("probability of being anchored")
 
 
-def _draw_residuals(axes: Axes, found: dict[str, Any], prediction: xr.Dataset) -> None:
+def _draw_residuals(axes: Axes, found: IdentificationRecord, prediction: xr.Dataset) -> None:
     """By frame, actions apart, beside the noise."""
-    noise = found["noise_rms"]
+    noise = found.noise_rms
     left = (prediction["predicted"] - prediction["measured"]).values * 1e3
     values, actions = np.array([rms(frame) for frame in left]), prediction["action"].values
     for name in dict.fromkeys(actions):

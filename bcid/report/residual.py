@@ -62,7 +62,7 @@ def residuals_of(found: Found) -> Residual:
     Raises:
         ValueError: it has none, or neither a diagnosis nor an identification.
     """
-    result, positions = found.documents.get("diagnosis") or found.documents.get("identification"), found.positions
+    result, positions = found.diagnosis or found.identification, found.positions
     if positions is None or result is None:
         raise ValueError("no residuals")
     measured = positions["measured"].values / 1e-3
@@ -73,7 +73,7 @@ def residuals_of(found: Found) -> Residual:
             models[name] = measured - positions[f"predicted{suffix}"].values / 1e-3
     names = positions["fiducial"].values if "fiducial" in positions.coords else range(1, measured.shape[1] + 1)
     actions, steps = positions["action"].values.astype(str), positions["step"].values.astype(int)
-    return Residual(models, actions, steps, [str(name) for name in names], result.get("noise_rms"))
+    return Residual(models, actions, steps, [str(name) for name in names], result.noise_rms)
 
 
 def rms(values: Array) -> float:

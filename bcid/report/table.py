@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from bcid.base.csv_text import csv_text
 
@@ -29,7 +29,15 @@ _LATEX = {
 }
 
 
-_Row = dict[str, Any]
+# A record, or a table of values.
+_Row = Any
+
+
+class Cell(NamedTuple):
+    """What is shown of a value, and the exact value."""
+
+    shown: str
+    exact: Any
 
 
 def rounded(value: float | None) -> str:
@@ -43,8 +51,8 @@ class Column:
 
     Attributes:
         head: above it.
-        value: its cell of a row: a key (the head, if it is ""), or a function of the row; a pair is what is shown and the exact
-            value.
+        value: its cell of a row: a key or an attribute (the head, if it is ""), or a function of the row; a `Cell`
+            is taken as it is.
         show: how a value is shown.
         less: whether a narrow screen can do without it.
         kind: what it holds, `TEXT` or `NUMBER`.
@@ -56,10 +64,14 @@ class Column:
     less: bool = False
     kind: str = NUMBER
 
-    def cell(self, row: _Row) -> tuple[str, Any]:
+    def cell(self, row: _Row) -> Cell:
         """What is shown of a row, and the exact value."""
-        found = row[self.value or self.head] if isinstance(self.value, str) else self.value(row)
-        return found if isinstance(found, tuple) else (self.show(found), found)
+        found = _found(row, self.value or self.head) if isinstance(self.value, str) else self.value(row)
+        return found if isinstance(found, Cell) else Cell(self.show(found), found)
+
+
+def _found(row: _Row, name: str) -> Any:
+    return row[name] if isinstance(row, Mapping) else getattr(row, name)
 
 
 def text(
@@ -130,7 +142,7 @@ def _exact(value: Any) -> Any:
     """A value as a cell of a file."""
     if isinstance(value, bool):
         return "yes" if value else "no"
-    return " ".join(map(str, value)) or "none" if isinstance(value, list) else value
+    return " ".join(map(str, value)) or "none" if isinstance(value, list | tuple) else value
 
 
 def aligned(cells: Sequence[str]) -> list[str]:

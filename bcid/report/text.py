@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import Any
 
 from bcid.base.units import for_people, limited, uncertain
+from bcid.results.common_rows import ParameterRow
+from bcid.results.diagnosis_record import DiagnosisRecord, ModelRow
 
 # Characters that HTML does not allow, or that turn the text after them around.
 _UNWANTED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]")
@@ -28,11 +29,11 @@ def model_name(model: str) -> str:
     return " + ".join(plain(part) for part in model.split(" + "))
 
 
-def rungs(found: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
-    """Each model of a diagnosis' ladder, named by what it has beyond the one before, else by all it has."""
+def steps_of(models: Sequence[ModelRow]) -> list[tuple[str, ModelRow]]:
+    """Each model of a sequence, named by what it has beyond the one before, else by all it has."""
     steps, before = [], ""
-    for rung in found["ladder"]:
-        model = rung["model"]
+    for rung in models:
+        model = rung.model
         more = model.removeprefix(f"{before} + ") if before and model.startswith(f"{before} + ") else ""
         name = model_name(more or model)
         steps.append((f"+ {name}" if more else name, rung))
@@ -40,23 +41,23 @@ def rungs(found: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
     return steps
 
 
-def falling(found: dict[str, Any]) -> str:
-    """The ladder in one line: "neo-Hookean 1.42 mm → + gravity 0.205 mm (noise 0.2)"."""
-    steps = [f"{name} {rung['rms']:.3g} {found['length_unit']}" for name, rung in rungs(found)]
-    return f"{' → '.join(steps)} (noise {found['noise_rms']:.3g})"
+def falling(found: DiagnosisRecord) -> str:
+    """The model sequence in one line: "neo-Hookean 1.42 mm → + gravity 0.205 mm (noise 0.2)"."""
+    steps = [f"{name} {rung.rms:.3g} {found.length_unit}" for name, rung in steps_of(found.model_sequence)]
+    return f"{' → '.join(steps)} (noise {found.noise_rms:.3g})"
 
 
-def conclusion(found: dict[str, Any]) -> str:
+def conclusion(found: DiagnosisRecord) -> str:
     """The verdict of a diagnosis in a few words, for a title."""
-    if found["verdict"] == "unknown":
-        return "none of the known effects explains it" if found["ranking"] else "the model is not adequate"
-    if found["verdict"] == "none":
-        if found["adequate"] is None:
+    if found.verdict == "unknown":
+        return "none of the known effects explains it" if found.ranking else "the model is not adequate"
+    if found.verdict == "none":
+        if found.adequate is None:
             return "nothing is seen to be missing"
-        fitted = list(found.get("law") or {})
+        fitted = list(found.law)
         return f"adequate with {listed(fitted)} fitted" if fitted else "the plain model is adequate"
-    effects = " and ".join(plain(name) for name in found["verdict"].split("+"))
-    return f"adequate with {effects}" if found["adequate"] else f"missing: {effects}"
+    effects = " and ".join(plain(name) for name in found.verdict.split("+"))
+    return f"adequate with {effects}" if found.adequate else f"missing: {effects}"
 
 
 def patches(names: Sequence[str]) -> str:
@@ -71,13 +72,13 @@ def listed(names: Sequence[str]) -> str:
     return str(names[-1]) if len(names) == 1 else f"{', '.join(map(str, names[:-1]))} and {names[-1]}"
 
 
-def amount(name: str, number: dict[str, Any]) -> str:
+def amount(name: str, number: ParameterRow) -> str:
     """A fitted number: "weight = 1257.6 ± 9.4 N/m³", "lag: at most 0.02 (95 %)"; lengths in mm."""
-    value, error, unit = number["value"], number["stderr"], str(number["unit"])
+    value, error, unit = number.value, number.stderr, str(number.unit)
     if value is None:
         return f"{plain(name)}: cannot be told"
-    if number.get("limit") is not None:
-        return f"{plain(name)}: {limited(value, number['limit'], unit)}".replace("^3", "³").replace("^2", "²")
+    if number.limit is not None:
+        return f"{plain(name)}: {limited(value, number.limit, unit)}".replace("^3", "³").replace("^2", "²")
     value, error, unit = for_people(value, error, unit)
     shown = unit.replace("^3", "³").replace("^2", "²")
     return f"{plain(name)} = {uncertain(value, error, shown)}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from bcid.base.tails import normal_quantile
 from bcid.base.units import for_people
 from bcid.report.figure import DARK, LIGHT, chart, name_frames
 from bcid.report.text import plain
+from bcid.results.diagnosis_record import TimeHistory
 
 Array = NDArray[np.float64]
 # Of x, y and z (Okabe & Ito).
@@ -58,39 +60,39 @@ def _draw_wrench(axes: Axes, positions: xr.Dataset, part: slice, unit: float, la
     axes.set_ylabel(label)
 
 
-def course_chart(courses: list[dict[str, Any]]) -> Figure:
-    """The `courses` of a run's `diagnosis.json`, one below the other: values at knots, the course, and its 95 % band."""
-    height = _HEIGHT * len(courses) + _EDGE
+def course_chart(histories: Sequence[TimeHistory]) -> Figure:
+    """The time histories of a diagnosis, one below the other: values at knots, the course, and its 95 % band."""
+    height = _HEIGHT * len(histories) + _EDGE
     figure = Figure(figsize=(_WIDTH, height), facecolor="white", layout="constrained")
-    panels = figure.subplots(len(courses), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, course in zip(panels, courses, strict=True):
+    panels = figure.subplots(len(histories), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, course in zip(panels, histories, strict=True):
         _draw_course(axes, course)
     panels[-1].set_xlabel("time (s)")
     return figure
 
 
-def _draw_course(axes: Axes, course: dict[str, Any]) -> None:
-    times, values = np.array(course["times"], dtype=float), course["values"]
-    unit = for_people(1.0, None, course["unit"])
+def _draw_course(axes: Axes, course: TimeHistory) -> None:
+    times, values = np.array(course.times, dtype=float), course.values
+    unit = for_people(1.0, None, course.unit)
     line: dict[str, Any] = {"marker": "o", "markersize": 3.5}
     band: dict[str, Any] = {"linewidth": 0}
-    steps = bool(course["stepwise"])
+    steps = bool(course.stepwise)
     if steps:
         # The last value holds on.
         times = np.append(times, 2 * times[-1] - times[-2])
         line, band = {"drawstyle": "steps-post"}, band | {"step": "post"}
 
-    def shown(numbers: list[float | None]) -> Array:
+    def shown(numbers: Sequence[float | None]) -> Array:
         found = unit[0] * np.array([np.nan if number is None else number for number in numbers])
         return np.append(found, found[-1]) if steps else found
 
     middle = shown(values)
-    for errors, colour in ((course["stderr"], LIGHT), (course.get("stderr_apart"), _MIDDLE)):
+    for errors, colour in ((course.stderr, LIGHT), (course.stderr_from_mean, _MIDDLE)):
         half = _HALF * shown(errors or [None] * len(values))
         if np.isfinite(half).any():
             axes.fill_between(times, middle - half, middle + half, color=colour, **band)
     axes.plot(times, middle, color=DARK, linewidth=1.6, **line)
     axes.axhline(0.0, color="#dddddd", linewidth=1, zorder=0)
-    name = "" if course["unit"] == "1" else f" ({unit[2]})"
-    at = f" at {course['place']}" if course["place"] else ""
-    axes.set_ylabel(f"{plain(course['effect'])}{at}\n{plain(course['amount'])}{name}")
+    name = "" if course.unit == "1" else f" ({unit[2]})"
+    at = f" at {course.place}" if course.place else ""
+    axes.set_ylabel(f"{plain(course.effect)}{at}\n{plain(course.amount)}{name}")

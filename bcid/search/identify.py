@@ -84,15 +84,15 @@ def identify(
         found, state = AnchorAnswer(table, best, followed, staged).identification(), best.fitted.state
         # The residual that is drawn is the one that is reported.
         prediction = replace(detailed(state), positions=state.predicted)
-        found = replace(found, prediction=prediction, astray=astray(state))
+        found = replace(found, prediction=prediction, outliers=outliers(state))
     finally:
         predictor.destroy()
     found = replace(found, remarks=measurement.remarks, seconds=time.perf_counter() - begun)
-    if not found.astray:
+    if not found.outliers:
         return found
-    # Whoever goes astray has led the search astray as well.
-    again = identify(scene, measurement.without(found.astray), comm, options, model, settings, progress, start, store)
-    return replace(again, remarks=found.remarks, astray=(*found.astray, *again.astray))
+    # Outliers have misled the search as well.
+    again = identify(scene, measurement.without(found.outliers), comm, options, model, settings, progress, start, store)
+    return replace(again, remarks=found.remarks, outliers=(*found.outliers, *again.outliers))
 
 
 def posterior(
@@ -122,10 +122,10 @@ def posterior(
     return found.table, found.others if isinstance(found.others, FollowedSets) else None
 
 
-def astray(state: State) -> tuple[str, ...]:
+def outliers(state: State) -> tuple[str, ...]:
     """Fiducials that do not go with the body, whatever acts smoothly on it: names that were swapped, marks that came off.
 
-    One that is astray may be anywhere: its values have a density of one per size of the body. Of its share of chi-square
+    An outlier may be anywhere: its values have a density of one per size of the body. Of its share of chi-square
     r^T C^-1 r the others have taken what they explain. More than every fourth are no mistake of single ones.
     """
     data, errors = state.predictor.data, state.likeliest_errors
@@ -136,6 +136,6 @@ def astray(state: State) -> tuple[str, ...]:
         np.bincount(data.fiducial[data.of_position], values[data.of_position], minlength=len(names))
         for values in (0.5 * shares, np.log(size / errors.sigma))
     )
-    found = np.flatnonzero(taken > lost - math.log(THRESHOLDS.astray))
+    found = np.flatnonzero(taken > lost - math.log(THRESHOLDS.outlier))
     seen = np.unique(data.fiducial[data.of_position])
     return tuple(names[i] for i in found) if 0 < len(found) <= len(seen) / 4 else ()

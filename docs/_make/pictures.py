@@ -54,7 +54,7 @@ def explore(folder: Path) -> None:
     """The belief of an exploration with a noise far above that of a camera."""
     chosen = ("--robot", "simulated:1,2", "--noise", "4 mm", "--seed", 1, "--quiet")
     bcid("explore", SCENE, *chosen, "-o", folder / "explored")
-    shutil.copyfile(folder / "explored/belief.png", DOCS / "explore.png")
+    shutil.copyfile(folder / "explored/posterior.png", DOCS / "explore.png")
 
 
 def tracking(folder: Path) -> None:

@@ -54,7 +54,7 @@ def test_06_explore(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Two processes that know of each other only through a folder."""
     found = load("06_explore").main(tmp_path)
     assert (found.reason, found.anchored) == ("decided", ("3", "4"))
-    assert found.found["missed"] == pytest.approx(1.0, abs=0.1)
+    assert found.normalised_rms == pytest.approx(1.0, abs=0.1)
     pulls = found.to_dataframe()
     assert len(list(tmp_path.glob("*/measurement"))) == len(pulls) <= 3
     assert (pulls["gained_bits"] > 0.3 * pulls["expected_bits"]).all()
@@ -91,7 +91,7 @@ def test_07_the_whole_field_is_explained(real_data: Callable[[str], Path]) -> No
     few = ExplainOptions(max_effects=1, only=("grasp_offset", "stiffness_gradient"))
     found = load("07_strip").explained(real_data("duodic_rubber"), 6, few)
     assert found.verdict == "unknown"
-    assert found.ladder[0].rms > 0.03e-3
+    assert found.model_sequence[0].rms > 0.03e-3
     measured = found.documents["residuals.nc"]["measured"]
     assert measured.shape == (4, 128, 3)
 

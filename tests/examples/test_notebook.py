@@ -32,9 +32,9 @@ def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caps
     assert names["found"].rms == pytest.approx(0.313e-3, rel=0.01)
     explained = names["explained"]
     assert explained.verdict == "gravity"
-    assert [model.anchored for model in explained.ladder] == [("3", "4")] * 2
-    assert [model.adequate for model in explained.ladder] == [False, True]
-    assert explained.ladder[0].rms == pytest.approx(1.41e-3, rel=0.01)
+    assert [model.anchored for model in explained.model_sequence] == [("3", "4")] * 2
+    assert [model.adequate for model in explained.model_sequence] == [False, True]
+    assert explained.model_sequence[0].rms == pytest.approx(1.41e-3, rel=0.01)
     assert explained.rms == pytest.approx(0.215e-3, rel=0.03)
     # The weight that the measurement was made with is found within its error.
     weight = explained.parameters["gravity.weight"]

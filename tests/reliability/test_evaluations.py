@@ -80,7 +80,7 @@ def test_explain_evaluation_raises_run_ends_and_lists_it(
     found = bcid.explain(slab, measurement, options=ExplainOptions(only=("gravity", "fibres", "soft_anchor")))
 
     assert found.verdict in ("gravity", "none", "unknown", "fibres", "soft_anchor") or "+" in found.verdict
-    assert found.found["skipped"]
+    assert found.skipped
     assert "skipped" in found.summary or "Not evaluated" in found.summary
 
 
@@ -92,4 +92,4 @@ def test_identify_evaluation_raises_run_ends_with_an_answer(
     found = bcid.identify(slab, measurement, options=IdentifyOptions(exhaustive="no"))
 
     assert 0 <= found.probability <= 1
-    assert what != "prediction" or found.found["failures"]
+    assert what != "prediction" or found.failures

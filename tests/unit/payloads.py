@@ -78,14 +78,16 @@ def poisoned(path: Path, payload: str) -> Path:
         "model": payload,
         "warnings": [payload],
         "anchored": [payload],
-        "cannot_be_told_from": [payload],
-        "begins": {"action": payload, "step": payload, "probability": 0.9},
-        "scene_sensitivity": [runs.answer_at(2.0, [payload]) | {"label": payload, "off": payload, "verdict": payload}],
-        "next_steps": [{"kind": payload, "text": payload, "bits": 0.4, "positions": []}],
+        "ambiguous_with": [payload],
+        "change_point": {"action": payload, "step": 5, "probability": 0.9},
+        "scene_sensitivity": [
+            runs.answer_at(2.0, [payload]) | {"label": payload, "shift": payload, "verdict": payload}
+        ],
+        "next_steps": [{"kind": payload, "text": payload, "expected_bits": 0.4, "positions": []}],
         "ranking": [row, runs.ranked("gravity", 0.3)],
-        "adopted": [{"effect": payload, "place": payload, "parameters": row["parameters"]}],
+        "selected_effects": [{"effect": payload, "place": payload, "parameters": row["parameters"]}],
         "tests": [{"name": payload, "p_value": 0.5, "decides": True, "text": payload}],
-        "ladder": [
+        "model_sequence": [
             runs.rung(payload, 1.4, False),
             runs.rung(f"{payload} + {payload}", 0.2, True) | {"anchored": [payload]},
         ],
@@ -101,7 +103,7 @@ def poisoned(path: Path, payload: str) -> Path:
     explored |= {"anchored": [payload], "effect": payload, "patches": {payload: 1.0}}
     for step in explored["steps"]:
         step |= {"grasp": payload, "direction": payload, "patches": {payload: 0.5}, "effects": {payload: 0.5, "": 0.5}}
-        step["belief"][0] |= {"anchored": [payload], "effect": payload}
+        step["posterior"][0] |= {"anchored": [payload], "effect": payload}
     runs.rewrite(path, "exploration.json", json.dumps(explored))
     run.write_dataset("body.nc", runs.body(("", f"patch {arrays}", "patch right", f"grasp {arrays}"), arrays))
     seen = runs.positions(arrays, (arrays, "2"), (arrays, "b", "c"))

@@ -109,34 +109,43 @@ def diagnosis() -> dict[str, Any]:
     return {
         "adequate": True,
         "p_value": 0.5,
+        "false_alarm_rate": 0.01,
         "rms": 0.21,
         "noise_rms": 0.2,
+        "noise_stated": True,
+        "noise_like_rms": 0.2,
         "held_out_rms": 0.212,
         "anchored": ["left"],
         "verdict": "gravity",
         "model": "neo_hooke + gravity",
-        "adopted": [{"effect": "gravity", "place": "", "parameters": ranked("", 1)["parameters"]}],
-        "warnings": [],
+        "input_uncertainties": [],
+        "selected_effects": [{"effect": "gravity", "place": "", "parameters": ranked("", 1)["parameters"]}],
         "tests": [{"name": "size", "p_value": 0.9, "decides": True, "text": "it is 0.98 times what noise explains"}],
+        "residual_by": {},
         "ranking": [ranked("gravity", 0.24, 0.21), ranked("soft_anchor", 1.3)],
-        "begins": None,
         "scene_sensitivity": [answer_at(-2.0, ["left"]), answer_at(2.0, [])],
-        "open_bits": 0.8,
-        "next_steps": [{"kind": "number", "text": "measure: Poisson's ratio", "bits": 0.42, "positions": []}],
-        "cannot_be_told_from": [],
-        "ladder": [rung("neo_hooke", 1.42, False), rung("neo_hooke + gravity", 0.21, True)],
+        "entropy": 0.8,
+        "next_steps": [{"kind": "number", "text": "measure: Poisson's ratio", "expected_bits": 0.42, "positions": []}],
+        "model_sequence": [rung("neo_hooke", 1.42, False), rung("neo_hooke + gravity", 0.21, True)],
         "length_unit": "mm",
     }
 
 
 def answer_at(offset: float, anchored: list[str]) -> dict[str, Any]:
     """The answer where Poisson's ratio is off; it depends on it where no patch is held then."""
-    found = {"input": "poisson", "label": "Poisson's ratio", "stddev": 0.03, "offset": offset, "off": f"{offset:+.0f}"}
+    found = {
+        "input": "poisson",
+        "label": "Poisson's ratio",
+        "stddev": 0.03,
+        "offset": offset,
+        "shift": f"{offset:+.0f}",
+    }
     answer = {"verdict": "gravity", "verdict_probability": 0.97, "anchored": anchored, "anchors_probability": 0.96}
     return found | answer | {"depends": not anchored}
 
 
 def identification() -> dict[str, Any]:
+    other = {"anchored": ["left", "right"], "probability": 0.02, "rms": 0.3, "reported_rms": 0.21, "frames": 8}
     return {
         "anchored": ["left"],
         "probability": 0.98,
@@ -144,27 +153,45 @@ def identification() -> dict[str, Any]:
         "rms": 0.21,
         "noise_rms": 0.2,
         "certified": True,
-        "explains": True,
-        "alternatives": [{"anchored": ["left", "right"], "probability": 0.02, "rms": 0.3, "level": 1, "stopped": True}],
+        "evaluations": {"1": 4.0},
+        "evaluated": {"in full": 2, "stopped": 0, "failed": 0, "not": 2},
+        "adequate": True,
+        "alternatives": [other | {"level": 1, "stopped": True, "failure": ""}],
+        "classes": [],
+        "levels": [1],
+        "stages": [],
+        "failures": {},
+        "not_converged": [],
+        "remarks": [],
+        "outliers": [],
+        "input_uncertainties": [],
         "length_unit": "mm",
     }
 
 
 def exploration() -> dict[str, Any]:
     def step(number: int, p: float) -> dict[str, Any]:
-        belief = [{"anchored": ["left"], "effect": "", "probability": p}]
-        belief.append({"anchored": ["left", "right"], "effect": "", "probability": 1 - p})
+        posterior = [{"anchored": ["left"], "effect": "", "probability": p}]
+        posterior.append({"anchored": ["left", "right"], "effect": "", "probability": 1 - p})
         return {
             "number": number,
             "grasp": "I",
             "direction": "+x",
             "amplitude": 8.0,
             "expected_bits": 0.5,
-            "expected_error": 0.01,
+            "expected_stderr": 0.01,
             "gained_bits": 0.4,
-            "belief": belief,
+            "entropy": 0.5,
+            "posterior": posterior,
             "patches": {"left": 1.0, "right": 1 - p},
             "effects": {"": 1.0},
+            "normalised_rms": 1.0,
+            "discrepancy_probability": 0.1,
+            "outbound": None,
+            "options": [],
+            "spent": 1.0,
+            "predicted": 4,
+            "seconds": 1.0,
         }
 
     return {
@@ -173,7 +200,15 @@ def exploration() -> dict[str, Any]:
         "effect": "",
         "probability": 0.98,
         "patches": {"left": 1.0, "right": 0.02},
+        "effects": {"": 1.0},
+        "parameters": {},
         "entropy": 0.14,
+        "rms": 0.2,
+        "normalised_rms": 1.0,
+        "discrepancy_probability": 0.1,
+        "stiffness": None,
+        "remarks": [],
+        "not_allowed": [],
         "not_separated": [],
         "length_unit": "mm",
         "steps": [step(1, 0.6), step(2, 0.98)],

@@ -25,7 +25,7 @@ def answer(p: float, solves: float, verdict: str = "gravity") -> dict[str, Any]:
         "verdict_probability": 0.99,
         "anchored": ["1"],
         "anchors_probability": p,
-        "probabilities": {"effects": {"gravity": p, "none": 1 - p}, "hypotheses": hypotheses},
+        "posterior": {"effects": {"gravity": p, "none": 1 - p}, "hypotheses": hypotheses},
     }
     return {"truth": truth, "diagnosis": diagnosis, "trajectories": {"working": solves}}
 

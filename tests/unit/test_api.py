@@ -79,17 +79,18 @@ def test_a_result_is_written_and_loaded(result: Result, tmp_path: Path) -> None:
 def test_lengths_are_in_metres(tmp_path: Path) -> None:
     found = bcid.load(runs.identified(tmp_path / "run"))
     assert isinstance(found, IdentifyResult)
-    assert found.rms == pytest.approx(found.found["rms"] * 1e-3)
+    assert found.rms == pytest.approx(found.documents["identification.json"].rms * 1e-3)
     assert found.to_dataframe()["rms"][0] == found.rms
     models = bcid.load(runs.explained(tmp_path / "models"))
     assert isinstance(models, DiagnosisResult)
-    assert models.begins is None
+    assert models.change_point is None
     begins = {"action": "lift", "step": 5, "probability": 0.97}
-    runs.rewrite(models.path, "diagnosis.json", json.dumps(runs.diagnosis() | {"begins": begins}))
+    runs.rewrite(models.path, "diagnosis.json", json.dumps(runs.diagnosis() | {"change_point": begins}))
     again = bcid.load(models.path)
     assert isinstance(again, DiagnosisResult)
-    assert again.begins == begins
-    assert models.ladder[-1].rms == pytest.approx(models.found["ladder"][-1]["rms"] * 1e-3)
+    assert again.change_point is not None
+    assert again.change_point.to_json() == begins
+    assert models.model_sequence[-1].rms == pytest.approx(0.21e-3)
 
 
 def test_what_cannot_be_loaded(tmp_path: Path) -> None:

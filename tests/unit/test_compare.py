@@ -524,7 +524,7 @@ def test_the_form_of_the_law_is_told_where_it_is_off() -> None:
     assert form.seen
     assert np.abs(form.values / 0.05 - [0.0, 1.5]).max() < 4 * form.stderr.max() / 0.05
     assert form.stderr.max() < 0.05 * 0.03
-    second = form.to_json()["second_invariant"]
+    second = form.rows()["second_invariant"].to_json()
     assert second["value"] == pytest.approx(0.3, abs=0.01)
     assert second["allowed"] == pytest.approx(0.2)
     assert "The law has another form: 30" in form.text

@@ -30,11 +30,12 @@ from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.evidence import log_gains
 from bcid.measurement import Action
 from bcid.predict.predictor import Predictor
+from bcid.results.diagnosis_record import TimeHistory
 from bcid.scene import Level, Scene
 from bcid.search.answer import diagnosis_text
 from bcid.search.answer.source import Source, _stored_model, stored_effect
 from bcid.search.answer.written_term import parsed_term
-from bcid.search.fitting.courses import knots, seen, to_json, variant_in_time
+from bcid.search.fitting.courses import knots, seen, time_histories, variant_in_time
 from bcid.search.fitting.fit import Fit
 from bcid.search.fitting.parameter_priors import one_sided, visible
 from bcid.search.fitting.ranking import dormant
@@ -394,8 +395,8 @@ def fit_of(values: Sequence[float], covariance: Array) -> Fit:
 def test_values_that_miss_alike_tell_that_they_change() -> None:
     """A common error of 100 Pa does not hide a swing of 60 Pa that is known to 5 Pa."""
     swing, common, own = [-30.0, 30.0, 0.0], np.full((3, 3), 1e4), 25.0 * np.eye(3)
-    (row,) = to_json(fit_of(swing, common + own))
-    assert row == {
+    (row,) = time_histories(fit_of(swing, common + own))
+    assert row.to_json() == {
         "effect": "active_stress",
         "place": "",
         "amount": "amplitude",
@@ -404,7 +405,7 @@ def test_values_that_miss_alike_tell_that_they_change() -> None:
         "times": [0.0, 1.0, 2.0],
         "values": swing,
         "stderr": [pytest.approx(math.sqrt(10025))] * 3,
-        "stderr_apart": [pytest.approx(5 * math.sqrt(2 / 3))] * 3,
+        "stderr_from_mean": [pytest.approx(5 * math.sqrt(2 / 3))] * 3,
         # The squares of what the values are from their mean, in units of 5 Pa.
         "p_constant": pytest.approx(chi2.sf(2 * 36, 2), rel=1e-6),
     }
@@ -413,17 +414,17 @@ def test_values_that_miss_alike_tell_that_they_change() -> None:
         == "active_stress: amplitude swings between −30 and 30 Pa (p < 0.0001 that it is constant)."
     )
     steady = fit_of([290.0, 300.0, 305.0], common + own)
-    (row,) = to_json(steady)
+    (row,) = time_histories(steady)
     assert "may as well be constant" in diagnosis_text.in_time(row)
     assert seen(steady, steady.state.model.terms[0], 0.1)
     nothing = fit_of([5.0, -5.0, 0.0], common + own)
     assert not seen(nothing, nothing.state.model.terms[0], 0.1)
-    (row,) = to_json(replace(nothing, coordinates=(), covariance=np.zeros((0, 0))))
-    assert (row["stderr"], row["stderr_apart"], row["p_constant"]) == ([None] * 3, [None] * 3, None)
+    (row,) = time_histories(replace(nothing, coordinates=(), covariance=np.zeros((0, 0))))
+    assert (row.stderr, row.stderr_from_mean, row.p_constant) == ((None,) * 3, (None,) * 3, None)
     assert diagnosis_text.in_time(row).endswith("amplitude: whether it changes with time is not told.")
     blind = fit_of([5.0, -5.0, 0.0], np.diag([1e200] * 3))
-    (row,) = to_json(blind)
-    assert (row["stderr"], row["p_constant"]) == ([None] * 3, None)
+    (row,) = time_histories(blind)
+    assert (row.stderr, row.p_constant) == ((None,) * 3, None)
     assert diagnosis_text.term(blind.state.model.terms[0], {f"amplitude_{k}": 1e100 for k in (1, 2, 3)}).endswith(
         "amplitude cannot be told, angle = 0 deg"
     )
@@ -435,8 +436,8 @@ def test_a_course_is_drawn_with_its_band(stepwise: bool) -> None:
     from bcid.report.time_charts import course_chart
 
     row = {"effect": "camera_offset", "place": "", "amount": "tx", "unit": "m", "stepwise": stepwise}
-    row |= {"times": [0.0, 10.0], "values": [-1e-3, 2e-3], "stderr": [1e-4, None], "stderr_apart": [2e-5, 2e-5]}
-    figure = course_chart([row, row])
+    row |= {"times": [0.0, 10.0], "values": [-1e-3, 2e-3], "stderr": [1e-4, None], "stderr_from_mean": [2e-5, 2e-5]}
+    figure = course_chart([TimeHistory.from_json(row)] * 2)
     assert [axes.get_ylabel() for axes in figure.axes] == 2 * ["camera offset\ntx (mm)"]
     line = figure.axes[0].lines[0]
     assert list(line.get_ydata())[:2] == pytest.approx([-1.0, 2.0])
@@ -455,12 +456,12 @@ def test_a_report_has_a_figure_of_courses_where_there_are_any(tmp_path: Path) ->
     from bcid.report.verdict import verdict
 
     folder = runs.explained(tmp_path / "run")
-    assert "courses" not in {one.name for one in drawings(Found.read(folder))}
+    assert "time-histories" not in {one.name for one in drawings(Found.read(folder))}
     diagnosis = json.loads((folder / "diagnosis.json").read_text())
     row = {"effect": "gravity", "place": "", "amount": "weight", "unit": "N/m^3", "stepwise": False}
-    diagnosis["courses"] = [row | {"times": [0.0, 1.0], "values": [1.0, 2.0], "stderr": [None, None]}]
-    diagnosis["adopted"] = [{"effect": "gravity_in_time", "place": "", "parameters": {}}]
+    diagnosis["time_histories"] = [row | {"times": [0.0, 1.0], "values": [1.0, 2.0], "stderr": [None, None]}]
+    diagnosis["selected_effects"] = [{"effect": "gravity_in_time", "place": "", "parameters": {}}]
     runs.rewrite(folder, "diagnosis.json", json.dumps(diagnosis))
     assert ("gravity: weight", "1 to 2 N/m^3") in verdict(Found.read(folder)).numbers
-    (found,) = (one for one in drawings(Found.read(folder)) if one.name == "courses")
+    (found,) = (one for one in drawings(Found.read(folder)) if one.name == "time-histories")
     assert found.draw().axes[0].get_ylabel() == "gravity\nweight (N/m^3)"

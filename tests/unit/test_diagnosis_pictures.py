@@ -10,11 +10,11 @@ from matplotlib.figure import Figure
 
 from bcid.base.errors import InputError
 from bcid.base.run_folder import RunFolder
-from bcid.report.diagnosis_picture import residual_figure, where_figure, worst_frame
+from bcid.report.diagnosis_picture import discrepancy_figure, residual_figure, worst_frame
 from bcid.report.export import draw_pictures
 from bcid.report.figure import round_length
 from bcid.report.labels import Viewpoint, beside_arrows
-from bcid.report.ladder import ladder_figure
+from bcid.report.models_chart import models_figure
 from bcid.report.text import conclusion, falling, model_name
 
 
@@ -34,7 +34,7 @@ def diagnosis(**more: Any) -> dict[str, Any]:
         "rms": 0.21,
         "noise_rms": 0.2,
         "length_unit": "mm",
-        "ladder": [rung("neo_hooke", 1.4, False), rung("neo_hooke + gravity", 0.21, True)],
+        "model_sequence": [rung("neo_hooke", 1.4, False), rung("neo_hooke + gravity", 0.21, True)],
         "ranking": [row("gravity", 0.25, 0.21), row("soft_anchor", 1.3)],
     }
     return found | more
@@ -94,7 +94,7 @@ Force = dict[str, Any]
 def where(steady: list[Force], growing: dict[str, list[Force]], **more: Any) -> dict[str, Any]:
     """A missing force; what it is in all is its first region, unless that is given."""
     whole = {"steady": steady[0], "growing": {action: forces[0] for action, forces in growing.items()}}
-    found = {"explained": 0.99, "rms": 0.22, "length_unit": "mm", "steady": steady, "growing": growing}
+    found = {"explained_fraction": 0.99, "rms": 0.22, "length_unit": "mm", "steady": steady, "growing": growing}
     return found | {"together": whole} | more
 
 
@@ -111,7 +111,7 @@ def folder(path: Path, found: dict[str, Any], where: dict[str, Any] | None) -> P
     run.write_dataset("body.nc", body())
     run.write_dataset("residuals.nc", residuals())
     if where is not None:
-        run.write_json("where.json", where)
+        run.write_json("discrepancy.json", where)
     run.finish({})
     return path
 
@@ -123,7 +123,7 @@ def names(files: list[Path]) -> set[str]:
 def test_every_picture_is_drawn(tmp_path: Path) -> None:
     pytest.importorskip("pyvista")
     written = draw_pictures(folder(tmp_path / "run", diagnosis(), WHERE))
-    assert names(written) == {"picture.png", "where.png", "ladder.png", "body.vtkhdf"}
+    assert names(written) == {"picture.png", "discrepancy.png", "models.png", "body.vtkhdf"}
     assert all(file.stat().st_size > (5000 if file.suffix == ".png" else 0) for file in written)
     assert not list((tmp_path / "run").glob(".*.partial*"))
 
@@ -150,10 +150,10 @@ def test_what_a_dense_field_misses_is_a_map() -> None:
 def test_nothing_is_missing(tmp_path: Path) -> None:
     """An adequate plain model has neither a missing force nor a second model, and a force may be no force."""
     pytest.importorskip("pyvista")
-    found = diagnosis(verdict="none", ladder=[rung("neo_hooke", 0.2, True)], ranking=[])
-    assert names(draw_pictures(folder(tmp_path / "run", found, None))) == {"picture.png", "ladder.png", "body.vtkhdf"}
+    found = diagnosis(verdict="none", model_sequence=[rung("neo_hooke", 0.2, True)], ranking=[])
+    assert names(draw_pictures(folder(tmp_path / "run", found, None))) == {"picture.png", "models.png", "body.vtkhdf"}
     nothing = where([force([0.0, 0.0, 0.0])], {})
-    assert "where.png" in names(draw_pictures(folder(tmp_path / "other", found, nothing)))
+    assert "discrepancy.png" in names(draw_pictures(folder(tmp_path / "other", found, nothing)))
 
 
 def orange(figure: Figure) -> int:
@@ -174,7 +174,7 @@ def said(figure: Figure) -> str:
 def test_a_force_is_drawn_only_where_it_can_be_told(stderr: float, explained: float, told: bool) -> None:
     pytest.importorskip("pyvista")
     steady = [force([0.0, -0.1, 0.0], stderr), force([0.0, -9e-6, 0.0], position=30)]
-    figure = where_figure(diagnosis(), where(steady, {}, explained=explained), body(), residuals())
+    figure = discrepancy_figure(diagnosis(), where(steady, {}, explained_fraction=explained), body(), residuals())
     assert (orange(figure) > 100) is told
     assert ("No missing force can be told" in said(figure)) is (explained < 0.1)
     assert ("told on 1 of 2 regions" in said(figure)) is told
@@ -188,7 +188,7 @@ def test_a_force_that_no_region_tells_is_drawn_as_one(stderr: float, told: bool)
     pytest.importorskip("pyvista")
     steady = [force([0.0, -0.05, 0.0], 0.04, x) for x in (10, 30)]
     whole = {"steady": force([0.0, -0.1, 0.0], stderr), "growing": {}}
-    figure = where_figure(diagnosis(), where(steady, {}, together=whole), body(), residuals())
+    figure = discrepancy_figure(diagnosis(), where(steady, {}, together=whole), body(), residuals())
     assert (orange(figure) > 100) is told
     assert ("together (+0 −100 +0) mN,\ntold on no single region" in said(figure)) is told
     assert ("A force is missing; where it acts cannot be told" in said(figure)) is not told
@@ -197,8 +197,8 @@ def test_a_force_that_no_region_tells_is_drawn_as_one(stderr: float, told: bool)
 
 def test_nothing_explains_it(tmp_path: Path) -> None:
     pytest.importorskip("pyvista")
-    found = diagnosis(verdict="unknown", adequate=False, ladder=[rung("neo_hooke", 1.4, False)])
-    assert "where.png" in names(draw_pictures(folder(tmp_path / "run", found, WHERE)))
+    found = diagnosis(verdict="unknown", adequate=False, model_sequence=[rung("neo_hooke", 1.4, False)])
+    assert "discrepancy.png" in names(draw_pictures(folder(tmp_path / "run", found, WHERE)))
     assert conclusion(found) == "none of the known effects explains it"
 
 
@@ -211,7 +211,10 @@ def test_a_run_without_a_diagnosis(tmp_path: Path) -> None:
 def test_the_ladder_in_one_line() -> None:
     assert falling(diagnosis()) == "neo-Hookean 1.4 mm → + gravity 0.21 mm (noise 0.2)"
     steps = [rung("gent", 2, False), rung("gent + soft_anchor(3)", 1, False), rung("gent + gravity", 0.2, True)]
-    assert falling(diagnosis(ladder=steps)) == "gent 2 mm → + soft anchor (3) 1 mm → gent + gravity 0.2 mm (noise 0.2)"
+    assert (
+        falling(diagnosis(model_sequence=steps))
+        == "gent 2 mm → + soft anchor (3) 1 mm → gent + gravity 0.2 mm (noise 0.2)"
+    )
 
 
 def test_titles() -> None:
@@ -227,7 +230,7 @@ def test_titles() -> None:
 
 def test_one_action_has_nothing_held_out() -> None:
     steps = [rung("neo_hooke", 1.4, False) | {"held_out_rms": None}]
-    assert len(ladder_figure(diagnosis(ladder=steps)).axes) == 2
+    assert len(models_figure(diagnosis(model_sequence=steps)).axes) == 2
 
 
 def test_scale_and_frame() -> None:
@@ -239,7 +242,7 @@ def test_large_forces_are_told_in_newtons_and_long_titles_fit() -> None:
     pytest.importorskip("pyvista")
     found = where([force([0.0, -138.4, 0.0], 28.4)], {})
     models = "neo_hooke + support_friction + active_stress + viscosity + stiffness_gradient + strain_stiffening"
-    figure = where_figure(diagnosis(ladder=[rung(models, 1.4, True)]), found, body(), residuals())
+    figure = discrepancy_figure(diagnosis(model_sequence=[rung(models, 1.4, True)]), found, body(), residuals())
     assert "together (+0 −138 +0) N,\ntold on 1 of 1 regions" in said(figure)
     assert all(text.get_window_extent().x1 < figure.bbox.width for text in figure.texts)
 
@@ -257,5 +260,5 @@ def test_texts_at_arrows_do_not_hide_each_other() -> None:
 @pytest.mark.filterwarnings("error")
 def test_a_long_ladder_is_told_by_its_bars_alone() -> None:
     rungs = [rung(f"neo_hooke + effect_{k}", 1.4 - 0.2 * k, False) for k in range(6)]
-    figure = ladder_figure(diagnosis(ladder=rungs))
+    figure = models_figure(diagnosis(model_sequence=rungs))
     assert "→" not in said(figure)

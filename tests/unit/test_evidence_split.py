@@ -37,7 +37,7 @@ def test_evidence_splits_parts_add_up_to_the_difference() -> None:
     assert (heavy.misfit, heavy.volume, heavy.occam) == pytest.approx((0.5, 0.0, -2.5))
     assert heavy.prior == pytest.approx(log_prior(1, False, 20))
     assert {one.hypothesis: one.discrepancy for one in found}[Hypothesis(frozenset("1"), "", True)] == -9.0
-    assert heavy.to_json("12")["effects"] == ["gravity"]
+    assert heavy.row("12").effects == ("gravity",)
     # What is the same as another has no row, as springs without stiffness.
     others = HypothesisOdds({h: p for h, p in ODDS.probabilities.items() if h != heavy.hypothesis})
     assert heavy.hypothesis not in [one.hypothesis for one in evidence_splits(RIVALS, others, first)]

@@ -91,13 +91,13 @@ def test_predictions_are_shared_and_what_is_damaged_is_computed_again(coarse_sce
     again = explored(coarse_scene, "simulated:1,2", tmp_path / "two")
     assert first["steps"][0]["predicted"] > 0
     assert sum(step["predicted"] for step in again["steps"]) == 0
-    assert [s["belief"] for s in again["steps"]] == [s["belief"] for s in first["steps"]]
+    assert [s["posterior"] for s in again["steps"]] == [s["posterior"] for s in first["steps"]]
     with pytest.raises(InputError, match="holds a finished run"):
         explored(coarse_scene, "simulated:1,2", tmp_path / "two")
     for file in (tmp_path / "store").iterdir():
         file.write_bytes(file.read_bytes()[:100])
     third = explored(coarse_scene, "simulated:1,2", tmp_path / "three")
-    assert [s["belief"] for s in third["steps"]] == [s["belief"] for s in first["steps"]]
+    assert [s["posterior"] for s in third["steps"]] == [s["posterior"] for s in first["steps"]]
     assert sum(step["predicted"] for step in third["steps"]) == sum(step["predicted"] for step in first["steps"])
 
 
@@ -117,8 +117,8 @@ def test_forces_tell_more_and_how_stiff_the_body_is(coarse_scene: Path) -> None:
     assert felt.steps[0].expected[0] > unfelt.steps[0].expected[0] + 0.3
     assert felt.view.best.anchors == frozenset("12")
     assert felt.view.stiffness is not None
-    young = felt.view.stiffness.to_json()["constants"]["young"]
-    young, error = young["value"], young["stderr"]
+    young = felt.view.stiffness.record().constants["young"]
+    young, error = young.value, young.stderr
     assert young == pytest.approx(24e3, abs=3 * error)
     assert young - 15e3 > 2 * error
     assert unfelt.view.stiffness is None

@@ -14,7 +14,7 @@ from bcid.base.errors import InputError, SolveError
 from bcid.base.options import ExploreOptions
 from bcid.exploration import pull_posterior
 from bcid.exploration.choice import Choice
-from bcid.exploration.explore_run import exploration_json, summary
+from bcid.exploration.explore_run import exploration_record, summary
 from bcid.exploration.joined import joined
 from bcid.exploration.loop import BUDGET, DECIDED, INSEPARABLE, Exploration, explore, posterior_before
 from bcid.exploration.moves import Move, limits_of
@@ -61,9 +61,9 @@ def test_anchors_are_decided_and_drawn(scene: Scene, working: PullPredictor, tmp
     assert len(found.steps) == 1
     assert found.steps[0].gained == pytest.approx(2.0, abs=0.3)
     run = RunFolder.start(tmp_path / "run", "explore", {})
-    run.write_json("exploration.json", exploration_json(scene, found))
+    run.write_json("exploration.json", exploration_record(scene, found).to_json())
     run.finish({})
-    assert draw_pictures(tmp_path / "run") == [tmp_path / "run/belief.png"]
+    assert draw_pictures(tmp_path / "run") == [tmp_path / "run/posterior.png"]
     assert json.loads((tmp_path / "run/exploration.json").read_text())["steps"][0]["expected_bits"] > 0
     assert "Pulls:" in summary(scene, ExploreOptions(), found)
 

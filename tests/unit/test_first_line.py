@@ -29,11 +29,11 @@ def found(**more: Any) -> Identification:
         "probability": 0.98,
         "patches": {str(i): 0.5 for i in range(1, 9)},
         "rms": 3.1e-4,
-        "noise": 3e-4,
-        "discretisation": 2e-5,
+        "noise_rms": 3e-4,
+        "discretisation_rms": 2e-5,
         "certified": False,
         "evaluations": {0: 3.0},
-        "looked_at": counts,
+        "evaluated": counts,
         "alternatives": (),
         "classes": (),
         "levels": (0,),
@@ -41,6 +41,11 @@ def found(**more: Any) -> Identification:
         "prediction": None,
         "failures": {},
         "seconds": 1.0,
+        "not_converged": (),
+        "remarks": (),
+        "outliers": (),
+        "adequate": True,
+        "input_uncertainties": (),
     }
     return Identification(**(known | more))
 
@@ -59,7 +64,7 @@ def test_a_result_that_explains_stands_first_in_mm() -> None:
 
 
 def test_a_residual_far_above_the_noise_stands_first() -> None:
-    lines = told(rms=14e-3, noise=1e-4)
+    lines = told(rms=14e-3, noise_rms=1e-4, adequate=False)
     assert lines[0] == "WARNING: no set explains this measurement: the best misses it by 140.0 times the noise."
     assert any(line.startswith("Anchored patches") for line in lines)
 
@@ -67,14 +72,15 @@ def test_a_residual_far_above_the_noise_stands_first() -> None:
 def test_what_the_scene_may_have_wrong_is_no_alarm() -> None:
     """A residual of three times the noise may be explained all the same, and a small one may not be."""
     markers = NuisanceEstimate("markers", 0.4e-3, 0.35e-3, 2.1, 48)
-    lines = told(rms=9e-4, missing=0.07, nuisances=(markers,))
+    lines = told(rms=9e-4, discrepancy_probability=0.07, input_uncertainties=nuisance_text.rows([markers]))
     assert lines[0].startswith("Anchored patches")
     assert (
         "Allowed for in the scene, as standard deviations (and what these data make likely): markers 0.4 mm (0.35 mm)."
         in lines
     )
     assert "Something is missing in the model besides, or it is wrong there: probability 7 %." in lines
-    lines = told(rms=4e-4, missing=0.999, nuisances=(replace(markers, most=6.0),))
+    rows = nuisance_text.rows([replace(markers, most=6.0)])
+    lines = told(rms=4e-4, discrepancy_probability=0.999, adequate=False, input_uncertainties=rows)
     assert lines[0] == "WARNING: no set explains this measurement: the best misses it by 1.3 times the noise."
     assert any(line.startswith("WARNING: markers would have to sit up to 2.4 mm from where") for line in lines)
 
@@ -82,18 +88,20 @@ def test_what_the_scene_may_have_wrong_is_no_alarm() -> None:
 def test_what_is_wrong_in_many_ways_is_one_warning() -> None:
     names = {"markers": 0.4e-3, "dimensions": 0.02, "grip_turn": 0.5}
     larger = tuple(NuisanceEstimate(name, size, 3 * size, 9.0, 6) for name, size in names.items())
-    lines = [line for line in told(rms=4e-4, missing=0.999, nuisances=larger) if "allows for" in line]
+    rows = nuisance_text.rows(larger)
+    found = told(rms=4e-4, discrepancy_probability=0.999, input_uncertainties=rows)
+    lines = [line for line in found if "allows for" in line]
     assert lines == [
         "WARNING: more would have to be wrong than the scene allows for (in brackets): markers 3.6 mm (0.4 mm), "
         "dimensions 18 % (2 %), grip turn 4.5 deg (0.5 deg)."
     ]
-    page = verdict.wrong_inputs({"nuisances": nuisance_text.to_json(larger)})
+    page = verdict.wrong_inputs(rows)
     assert page == [f"M{lines[0].removeprefix('WARNING: m')}"]
-    assert len(verdict.wrong_inputs({"nuisances": nuisance_text.to_json(larger[:2])})) == 2
+    assert len(verdict.wrong_inputs(rows[:2])) == 2
 
 
 def test_an_unknown_noise_stands_first() -> None:
-    assert told(noise=None)[0].startswith(
+    assert told(noise_rms=None)[0].startswith(
         "WARNING: no noise is known: whether a set explains this measurement cannot be told"
     )
 

@@ -193,6 +193,10 @@ def parameter(value: float, role: str = "amount", **more: Any) -> dict[str, Any]
     return plain | {"value": value, "role": role} | more
 
 
+def ranked(*names: str) -> list[dict[str, str]]:
+    return [{"effect": name} for name in names]
+
+
 def result(
     kind: str, effects: list[dict[str, Any]], size: float = 5.0, under: Conditions = EXACT, **diagnosis: Any
 ) -> dict[str, Any]:
@@ -203,8 +207,8 @@ def result(
         "adequate": False,
         "verdict": "gravity",
         "anchored": ["4", "3"],
-        "first_ranked": ["gravity", "fibres", "viscosity"],
-        "adopted": adopted("gravity", weight=11.0),
+        "ranking": ranked("gravity", "fibres", "viscosity"),
+        "selected_effects": adopted("gravity", weight=11.0),
         "held_out_rms": 0.21,
         "noise_rms": 0.1,
     }
@@ -244,36 +248,42 @@ SPRING = [effect("soft_anchor", "3", stiffness=parameter(1e5, neutral=None, reci
     ("goal", "kind", "effects", "right", "wrong"),
     [
         ("named", "one", GRAVITY, {}, {"verdict": "gravity+fibres"}),
-        ("first", "one", GRAVITY, {}, {"first_ranked": ["fibres", "gravity"]}),
-        ("first two", "one", GRAVITY, {"first_ranked": ["fibres", "gravity"]}, {"first_ranked": ["a", "b", "gravity"]}),
-        ("parameters", "one", GRAVITY, {}, {"adopted": adopted("gravity", weight=12.5)}),
+        ("first", "one", GRAVITY, {}, {"ranking": ranked("fibres", "gravity")}),
+        (
+            "first two",
+            "one",
+            GRAVITY,
+            {"ranking": ranked("fibres", "gravity")},
+            {"ranking": ranked("a", "b", "gravity")},
+        ),
+        ("parameters", "one", GRAVITY, {}, {"selected_effects": adopted("gravity", weight=12.5)}),
         (
             "parameters",
             "one",
             ANGLED,
-            {"adopted": adopted("fibres", k1=5, angle=5)},
-            {"adopted": adopted("fibres", k1=5, angle=12)},
+            {"selected_effects": adopted("fibres", k1=5, angle=5)},
+            {"selected_effects": adopted("fibres", k1=5, angle=12)},
         ),
         (
             "parameters",
             "one",
             VECTOR,
-            {"adopted": adopted("prestrain", sx=1.1, sz=1.02)},
-            {"adopted": adopted("prestrain", sx=1.09, sz=1.04)},
+            {"selected_effects": adopted("prestrain", sx=1.1, sz=1.02)},
+            {"selected_effects": adopted("prestrain", sx=1.09, sz=1.04)},
         ),
         (
             "parameters",
             "one",
             BALL,
-            {"adopted": adopted("inclusion", ratio=3.2, cx=0.06, cy=0, cz=0.05, radius=0.03)},
-            {"adopted": adopted("inclusion", ratio=3, cx=0.08, cy=0, cz=0.05, radius=0.02)},
+            {"selected_effects": adopted("inclusion", ratio=3.2, cx=0.06, cy=0, cz=0.05, radius=0.03)},
+            {"selected_effects": adopted("inclusion", ratio=3, cx=0.08, cy=0, cz=0.05, radius=0.02)},
         ),
         (
             "parameters",
             "one",
             SPRING,
-            {"adopted": adopted("soft_anchor", "3", stiffness=1.1e5)},
-            {"adopted": adopted("soft_anchor", "4", stiffness=1e5)},
+            {"selected_effects": adopted("soft_anchor", "3", stiffness=1.1e5)},
+            {"selected_effects": adopted("soft_anchor", "4", stiffness=1e5)},
         ),
         ("held out", "one", GRAVITY, {}, {"held_out_rms": 0.25}),
         (
@@ -283,21 +293,21 @@ SPRING = [effect("soft_anchor", "3", stiffness=parameter(1e5, neutral=None, reci
             {"held_out_rms": 0.29, "discretisation_rms": 0.15},
             {"held_out_rms": 0.31, "discretisation_rms": 0.15},
         ),
-        ("intervals", "one", GRAVITY, {}, {"adopted": adopted("gravity", weight=12.6)}),
+        ("intervals", "one", GRAVITY, {}, {"selected_effects": adopted("gravity", weight=12.6)}),
         (
             "intervals",
             "one",
             SPRING,
-            {"verdict": "soft_anchor(3)", "adopted": adopted("soft_anchor", "3", stiffness=1.19e5)},
+            {"verdict": "soft_anchor(3)", "selected_effects": adopted("soft_anchor", "3", stiffness=1.19e5)},
             # On the scale of the stiffness itself this one would hold.
-            {"verdict": "soft_anchor(3)", "adopted": adopted("soft_anchor", "3", stiffness=1.243e5)},
+            {"verdict": "soft_anchor(3)", "selected_effects": adopted("soft_anchor", "3", stiffness=1.243e5)},
         ),
         (
             "intervals",
             "one",
             GRAVITY,
-            {"adopted": at_bound("gravity", "weight", 8.0, 10.5)},
-            {"adopted": at_bound("gravity", "weight", 8.0, 9.5)},
+            {"selected_effects": at_bound("gravity", "weight", 8.0, 10.5)},
+            {"selected_effects": at_bound("gravity", "weight", 8.0, 9.5)},
         ),
         ("adequate", "none", [], {"adequate": True, "verdict": "none"}, {}),
         ("not misnamed", "outside", [effect("tear")], {"verdict": "unknown"}, {}),
@@ -324,8 +334,8 @@ def test_each_goal_is_met_and_missed(
         ("no false name, inexact", ON, {"verdict": "unknown"}, {"verdict": "gravity+fibres"}),
         ("settled, inexact", ON, {"anchored": ["3"], "anchors_probability": 0.94}, {"anchored": ["3"]}),
         ("held out, inexact", ON, {}, {"held_out_rms": 0.25}),
-        ("noise told", WRONG, {"noise_doubt": "half the residual"}, {"noise_doubt": ""}),
-        ("noise trusted", Conditions(), {"noise_doubt": ""}, {"noise_doubt": "half the residual"}),
+        ("noise told", WRONG, {"noise_warning": "half the residual"}, {"noise_warning": ""}),
+        ("noise trusted", Conditions(), {"noise_warning": ""}, {"noise_warning": "half the residual"}),
     ],
 )
 def test_goals_of_some_conditions(goal: str, under: Conditions, right: dict[str, Any], wrong: dict[str, Any]) -> None:
@@ -351,7 +361,7 @@ def test_the_stiffness_is_asked_for_where_forces_are_felt() -> None:
 def test_what_a_diagnosis_does_not_say_is_not_asked() -> None:
     assert judge(result("one", GRAVITY, under=WRONG))["noise told"] == ()
     assert judge(result("one", GRAVITY, verdict="unknown"))["intervals"] == ()
-    assert judge(result("one", GRAVITY, adopted=[]))["intervals"] == ()
+    assert judge(result("one", GRAVITY, selected_effects=[]))["intervals"] == ()
     assert scores([result("one", GRAVITY)])["calibration"]["count"] == 0
     assert "No diagnosis told how probable" in table(scores([result("one", GRAVITY)]))
 
@@ -364,7 +374,7 @@ def test_amounts_that_the_data_cannot_tell_are_not_asked() -> None:
         values = {"x": 0.0, "rx": 10.4}
         numbers = {name: {"value": value, "stderr": errors[name]} for name, value in values.items()}
         entry = {"effect": "grasp_offset", "place": "", "parameters": numbers}
-        return judge(result("one", offset, verdict="grasp_offset", adopted=[entry]))
+        return judge(result("one", offset, verdict="grasp_offset", selected_effects=[entry]))
 
     untold = told(x=5e97, rx=0.3)
     assert (untold["parameters"], untold["intervals"]) == ((True,), (True,))
@@ -435,16 +445,14 @@ def test_what_is_told_of_patches_that_are_asked_for_is_what_is_told_of_them_besi
     listed = [
         {"anchored": list(s), "effects": [e], "probability": p / 2} for s, p in sets.items() for e in ("", "gravity")
     ]
-    case = result(
-        "one", GRAVITY, anchored=["2", "3", "4"], anchors_probability=0.45, probabilities={"hypotheses": listed}
-    )
+    case = result("one", GRAVITY, anchored=["2", "3", "4"], anchors_probability=0.45, posterior={"hypotheses": listed})
     found = calibration([case])
     assert (found["count"], found["sure_and_wrong"]["count"]) == (1, 0)
     (told,) = [b for b in found["bins"] if b["count"]]
     assert told["told"] == pytest.approx(0.3 / 0.35)
     assert told["rate"] == 1.0
     # Where every set that is listed has patch 2, nothing is.
-    case["diagnosis"]["probabilities"]["hypotheses"] = listed[2:4]
+    case["diagnosis"]["posterior"]["hypotheses"] = listed[2:4]
     assert calibration([case])["count"] == 0
 
 

@@ -33,18 +33,20 @@ ALLOWED = {
     # The public names are looked up by it when they are asked for.
     "": BASE | {"api", "exploration", "forms", "grammar", "measurement", "scene", "search"},
     "base": BASE,
+    "results": BASE | {"results"},
     "scene": BASE | {"scene"},
     "measurement": DATA,
     "forms": DATA | {"forms"},
-    "inference": DATA | {"forms", "inference"},
-    "predict": DATA | {"forms", "inference", "predict"},
-    "search": DATA | {"forms", "inference", "predict", "search"},
-    "grammar": DATA | {"forms", "inference", "predict", "search", "grammar"},
-    "exploration": DATA | {"forms", "inference", "predict", "search", "exploration"},
+    "inference": DATA | {"forms", "results", "inference"},
+    "predict": DATA | {"forms", "results", "inference", "predict"},
+    "search": DATA | {"forms", "results", "inference", "predict", "search"},
+    "grammar": DATA | {"forms", "results", "inference", "predict", "search", "grammar"},
+    "exploration": DATA | {"forms", "results", "inference", "predict", "search", "exploration"},
     "vision": DATA | {"vision"},
-    "report": BASE | {"report"},
-    "api": DATA | {"forms", "inference", "predict", "search", "grammar", "exploration", "report", "api"},
-    "app": DATA | {"forms", "inference", "predict", "search", "grammar", "exploration", "report", "vision", "app"},
+    "report": BASE | {"results", "report"},
+    "api": DATA | {"forms", "results", "inference", "predict", "search", "grammar", "exploration", "report", "api"},
+    "app": DATA
+    | {"forms", "results", "inference", "predict", "search", "grammar", "exploration", "report", "vision", "app"},
     "__main__": {"app"},
 }
 ALLOWED["validation"] = {room for rooms in ALLOWED.values() for room in rooms} | {"validation"}

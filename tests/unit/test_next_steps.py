@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,9 +15,9 @@ from weighed_sets import POISSON, SIGMA, Sets, force
 from bcid.inference.discrepancy import Evidence
 from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.mesh_error import MeshError
+from bcid.results.diagnosis_record import NextStep
 from bcid.search.answer.answer_text import next_steps as in_words
 from bcid.search.answer.next_steps import (
-    NextStep,
     NextSteps,
     best_places,
     force_information,
@@ -111,16 +111,18 @@ def test_force_information_counts_no_common_factor() -> None:
 
 
 def test_next_steps_are_none_for_what_is_certain(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bcid.search.answer.next_steps.predicted", lambda *_: [NextStep("pull", "pull grasp I", 7.0)])
+    monkeypatch.setattr(
+        "bcid.search.answer.next_steps.predicted",
+        lambda *_: [NextStep(kind="pull", text="pull grasp I", expected_bits=7.0)],
+    )
     sets = Sets.of(off=1.5)
     found = sets.explanation
     steps = next_steps(found, sets.fitted)
     assert steps is not None
-    assert steps.steps[0] == NextStep("pull", "pull grasp I", steps.open)
+    assert steps.steps[0] == NextStep(kind="pull", text="pull grasp I", expected_bits=steps.open)
     assert "Poisson's ratio (now known to 0.03)" in "\n".join(in_words(steps))
     found.open = False
     assert next_steps(found, sets.fitted) is None
     assert in_words(None) == []
     assert "Open is only what was not fitted" in in_words(NextSteps(0.0, ()))[0]
     assert "nothing that is computed here" in in_words(NextSteps(0.4, ()))[0]
-    assert cast("Any", steps.steps[0].to_json(1e-3))["kind"] == "pull"

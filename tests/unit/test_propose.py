@@ -188,7 +188,7 @@ def test_what_may_be_missing_besides_is_told(unknown: float, told: str) -> None:
     explanation: Any = SimpleNamespace(rungs=(rung,), last=rung, odds=odds)
     entry: Any = SimpleNamespace()
     assert told in proposal_text._left(Proposal(explanation, (entry,), (), 1))
-    document = PROPOSAL | {"complete": unknown < 0.05, "missing": unknown}
+    document = PROPOSAL | {"complete": unknown < 0.05, "discrepancy_probability": unknown}
     assert told.lower() in tables.proposal_table(document).caption.lower()
 
 
@@ -204,11 +204,11 @@ PROPOSAL: dict[str, Any] = {
             },
         }
     ],
-    "complete": True, "missing": 0.0, "explained": 0.9999, "scored": 2091,
+    "complete": True, "discrepancy_probability": 0.0, "explained_fraction": 0.9999, "scored": 2091,
     "path": [
         {
-            "beside": "neo_hooke", "entered": "spring_at_a_spot", "rms": 0.204,
-            "competed": [
+            "beside": "neo_hooke", "selected": "spring_at_a_spot", "rms": 0.204,
+            "candidates": [
                 {"family": "spring_at_a_spot", "expected_rms": 0.397, "log_evidence": 20032.0},
                 {"family": "outer_stop", "expected_rms": 0.8, "log_evidence": 19000.0},
                 {"family": "volume", "expected_rms": 0.9, "log_evidence": None},

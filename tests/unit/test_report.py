@@ -22,15 +22,17 @@ from bcid.base.run_folder import RunFolder
 from bcid.base.units import significance, uncertain
 from bcid.report import gallery
 from bcid.report.body_view import view_data
-from bcid.report.found import Found, in_mm
+from bcid.report.found import Found
 from bcid.report.page import MARK, write_report
 from bcid.report.residual import residuals_of, rms
-from bcid.report.table import Column, Table, aligned
+from bcid.report.table import Cell, Column, Table, aligned
 from bcid.report.table import text as text_column
 from bcid.report.tables import sensitivity_table, tables
 from bcid.report.text import amount
+from bcid.results.common_rows import ParameterRow
+from bcid.results.diagnosis_record import DiagnosisRecord
 
-FEW = ("body", "ladder", "sets", "calibration")
+FEW = ("body", "models", "sets", "calibration")
 
 
 @pytest.fixture
@@ -43,7 +45,7 @@ def plain_pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPat
     """Pictures without VTK, which takes seconds, and few figures unless a test asks for all."""
     from matplotlib.figure import Figure
 
-    for name in ("residual_figure", "body_figure", "where_figure"):
+    for name in ("residual_figure", "body_figure", "discrepancy_figure"):
         monkeypatch.setattr(gallery, name, lambda *_: Figure(figsize=(2, 1)))
     if "every_figure" not in request.fixturenames:
         every = gallery.drawings
@@ -73,7 +75,7 @@ def test_explained(tmp_path: Path) -> None:
         "The body",
         "Residuals",
         "Missing effects",
-        "The ladder of models",
+        "The models in turn",
         "Anchor sets",
         "What was run",
     ]
@@ -82,22 +84,22 @@ def test_explained(tmp_path: Path) -> None:
     assert "1257.6 ± 9.4 N/m³" in text
     for fact in ("64babdf4", "ccf20348", "slab.toml", "pulled", "numpy", "soft anchor", "nothing of it is seen"):
         assert fact in text
-    assert "belief by pull: bcid explore makes it" in text
+    assert "posterior by pull: bcid explore makes it" in text
 
 
 def test_identified(tmp_path: Path) -> None:
     text = said(tmp_path, runs.identified(tmp_path / "run"))
     assert "The slab is held at patch left, with probability 98 %; the model misses the measurement by 0.21 mm" in text
-    assert "a ladder of models and missing effects: bcid diagnose RUN makes them" in text
+    assert "a sequence of models and missing effects: bcid diagnose RUN makes them" in text
     assert "Missing effects" not in text
 
 
 def test_a_set_that_explains_nothing(tmp_path: Path) -> None:
     folder = runs.identified(tmp_path / "run")
-    runs.rewrite(folder, "identification.json", json.dumps(runs.identification() | {"rms": 1.4, "explains": False}))
+    runs.rewrite(folder, "identification.json", json.dumps(runs.identification() | {"rms": 1.4, "adequate": False}))
     assert "No set of anchors explains this measurement" in said(tmp_path, folder)
     # A residual of three times the noise may be explained by what the scene has slightly wrong.
-    told = {"rms": 0.6, "explains": True, "missing": 0.12, "astray": ["6", "11"]}
+    told = {"rms": 0.6, "discrepancy_probability": 0.12, "outliers": ["6", "11"]}
     runs.rewrite(folder, "identification.json", json.dumps(runs.identification() | told))
     text = said(tmp_path, folder)
     assert "The slab is held at patch left" in text
@@ -111,7 +113,9 @@ def test_lengths_of_a_measurement_in_metres_are_shown_in_mm(tmp_path: Path) -> N
     written = runs.diagnosis() | {"length_unit": "m"}
     for key in ("rms", "noise_rms", "held_out_rms"):
         written[key] *= factor
-    written["ladder"] = [r | {k: r[k] * factor for k in ("rms", "held_out_rms")} for r in written["ladder"]]
+    written["model_sequence"] = [
+        r | {k: r[k] * factor for k in ("rms", "held_out_rms")} for r in written["model_sequence"]
+    ]
     keys = ("expected_rms", "fitted_rms", "held_out_rms")
     written["ranking"] = [r | {k: r[k] and r[k] * factor for k in keys} for r in written["ranking"]]
     shown = said(tmp_path, runs.explained(tmp_path / "other"))
@@ -119,10 +123,6 @@ def test_lengths_of_a_measurement_in_metres_are_shown_in_mm(tmp_path: Path) -> N
     text = said(tmp_path, folder)
     assert "falls from 1.42 to 0.21 mm (noise 0.2 mm)" in text
     assert "falls from 1.42 to 0.21 mm (noise 0.2 mm)" in shown
-    with pytest.raises(InputError, match="furlong"):
-        in_mm({"length_unit": "furlong", "rms": 1})
-    where = in_mm({"length_unit": "cm", "steady": [{"position": [1, 2.0, 3], "force": [1.0], "stderr": None}]})
-    assert where["steady"][0] == {"position": pytest.approx([10, 20, 30]), "force": [1.0], "stderr": None}
 
 
 def test_what_is_odd_and_an_unknown_noise_stand_in_the_report(tmp_path: Path) -> None:
@@ -148,7 +148,7 @@ def test_report_of_an_answer_shows_on_what_it_depends_and_what_to_do(tmp_path: P
     assert made["scene-sensitivity"].rows[1] == row
     # Both signs in one row where the answer depends on neither.
     both = [runs.answer_at(-2.0, ["left"]), runs.answer_at(2.0, ["left"]) | {"verdict_probability": 0.96}]
-    joined = sensitivity_table({"scene_sensitivity": both})
+    joined = sensitivity_table(DiagnosisRecord.from_json(runs.diagnosis() | {"scene_sensitivity": both}))
     assert joined is not None
     assert joined.rows == [["Poisson's ratio", "±2", "gravity", "96 %", "patch left", "96 %", ""]]
     assert made["next-steps"].rows == [["measure: Poisson's ratio", "0.42"]]
@@ -161,16 +161,19 @@ def test_report_of_an_answer_shows_on_what_it_depends_and_what_to_do(tmp_path: P
 @pytest.mark.parametrize(
     ("more", "sentence"),
     [
-        ({"verdict": "none", "ladder": [runs.rung("neo_hooke", 0.2, True)]}, "the neo-Hookean model is adequate"),
+        (
+            {"verdict": "none", "model_sequence": [runs.rung("neo_hooke", 0.2, True)]},
+            "the neo-Hookean model is adequate",
+        ),
         ({"verdict": "none", "adequate": None}, "the neo-Hookean + gravity model has nothing against it"),
         ({"verdict": "unknown"}, "None of the known effects explains this measurement"),
         (
-            {"verdict": "unknown", "begins": {"action": "lift", "step": 5, "probability": 0.97}},
+            {"verdict": "unknown", "change_point": {"action": "lift", "step": 5, "probability": 0.97}},
             "is 0.2 mm. It is not there from the start, and shows by step 5 of action lift.",
         ),
         ({"verdict": "unknown", "ranking": []}, "model is not adequate: it misses the measurement by 0.21 mm"),
         (
-            {"ladder": [runs.rung("neo_hooke", 1.42, False)]},
+            {"model_sequence": [runs.rung("neo_hooke", 1.42, False)]},
             "lacks gravity: with it the error falls from 1.42 to 0.21 mm",
         ),
         (
@@ -197,7 +200,7 @@ def test_what_a_scene_states_is_not_what_is_named(tmp_path: Path, asked: str) ->
 def test_explored(tmp_path: Path) -> None:
     text = said(tmp_path, runs.explored(tmp_path / "run"))
     assert "Anchored: {left}, probability 98 %, after 2 pulls." in text
-    assert "Belief by pull" in text
+    assert "Posterior by pull" in text
     assert "the body in 3-D and residuals: give a pull of steps/" in text
 
 
@@ -314,7 +317,7 @@ def lacking_keys(folder: Path) -> None:
 
 
 def other_types(folder: Path) -> None:
-    found = runs.diagnosis() | {"rms": "1", "ladder": 3, "ranking": {"a": 1}, "anchored": None, "tests": None}
+    found = runs.diagnosis() | {"rms": "1", "model_sequence": 3, "ranking": {"a": 1}, "anchored": None, "tests": None}
     runs.rewrite(folder, "diagnosis.json", json.dumps(found))
 
 
@@ -352,7 +355,7 @@ def test_a_folder_that_is_no_run(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "is not a run folder (it has no run.json)" in capsys.readouterr().err
     assert not target.exists()
     (tmp_path / "bad").mkdir()
-    (tmp_path / "bad" / "run.json").write_text('{"format": "bcid-run/1"}', encoding="utf-8")
+    (tmp_path / "bad" / "run.json").write_text('{"format": "bcid-run/2"}', encoding="utf-8")
     assert cli.main(["report", str(tmp_path / "bad"), str(whole), "-o", str(target)]) == 0
     assert "is damaged: command, state" in capsys.readouterr().err
     assert "This run cannot be read." in words(target.read_text(encoding="utf-8"))
@@ -391,7 +394,7 @@ def test_made_without_the_solver(tmp_path: Path) -> None:
     source = (tmp_path / "r.html").read_text(encoding="utf-8")
     assert 'class="doubt"' not in source
     assert "data:image/png;base64," in source
-    assert {"body.svg", "ladder.csv", "ladder.tex"} <= {path.name for path in (tmp_path / "f").iterdir()}
+    assert {"body.svg", "models.csv", "models.tex"} <= {path.name for path in (tmp_path / "f").iterdir()}
 
 
 # -- the parts
@@ -440,7 +443,7 @@ def test_more_frames_than_fit_are_thinned(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_tables() -> None:
-    rows = [("=a_1 & b", 1.42), (("±", "-2"), ("12", 12.0)), ("", ("≥ 0.2", None))]
+    rows = [("=a_1 & b", 1.42), (Cell("±", "-2"), Cell("12", 12.0)), ("", Cell("≥ 0.2", None))]
     columns = [text_column("name"), Column("error (mm)", "error")]
     table = Table("100 %", columns, [dict(zip(("name", "error"), row, strict=True)) for row in rows])
     assert table.csv() == "name,error (mm)\n'=a_1 & b,1.42\n-2,12.0\n,\n"
@@ -455,5 +458,5 @@ def test_numbers() -> None:
     assert uncertain(1257.588, 9.41) == "1257.6 ± 9.4"
     assert uncertain(-0.0016636, 1.9e-5) == "−0.001664 ± 0.000019"
     assert uncertain(3.0) == "3"
-    assert amount("tx", {"value": 7.2e-5, "stderr": 1e-5, "unit": "m"}) == "tx = 0.072 ± 0.010 mm"
-    assert amount("gx", {"value": None, "stderr": None, "unit": "1"}) == "gx: cannot be told"
+    assert amount("tx", ParameterRow(value=7.2e-5, stderr=1e-5, unit="m")) == "tx = 0.072 ± 0.010 mm"
+    assert amount("gx", ParameterRow(value=None, stderr=None, unit="1")) == "gx: cannot be told"

@@ -118,7 +118,7 @@ def _without_vtk(patch: pytest.MonkeyPatch) -> None:
         figure.text(0.4, 0.5, "the body")
         return figure
 
-    for name in ("residual_figure", "body_figure", "where_figure"):
+    for name in ("residual_figure", "body_figure", "discrepancy_figure"):
         patch.setattr(gallery, name, drawn)
 
 
@@ -300,7 +300,7 @@ def test_no_payload_runs(tmp_path: Path, visit: Callable[..., Visit], monkeypatc
 
 def _few(found: Any) -> list[gallery.Drawing]:
     """One chart with names is enough here: `test_report_safety` looks at all of them."""
-    return [drawing for drawing in gallery_drawings(found) if drawing.name == "ladder"]
+    return [drawing for drawing in gallery_drawings(found) if drawing.name == "models"]
 
 
 gallery_drawings = gallery.drawings

@@ -71,7 +71,7 @@ def test_everything_is_written(tmp_path: Path) -> None:
         "residual-fiducial",
         "residual-map",
         "ranking",
-        "ladder",
+        "models",
     ):
         assert {f"{name}.svg", f"{name}.pdf"} <= names
     assert {"ranking.csv", "ranking.tex", "ladder.csv", "sets.csv", "tests.csv", "provenance.csv"} <= names

@@ -101,7 +101,7 @@ def plain_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures without VTK, which takes seconds; names do not come into its images but as labels."""
     from matplotlib.figure import Figure
 
-    for name in ("residual_figure", "body_figure", "where_figure"):
+    for name in ("residual_figure", "body_figure", "discrepancy_figure"):
         monkeypatch.setattr(gallery, name, lambda *_: Figure(figsize=(2, 1)))
 
 

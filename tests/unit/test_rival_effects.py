@@ -151,11 +151,11 @@ def test_a_hidden_weight_is_told_from_soft_anchors(coarse_scene: Path, tmp_path:
     run_exploration(coarse_scene, "simulated:3,4", tmp_path / "run", plan, MPI.COMM_SELF, hidden=hidden)
     found = json.loads((tmp_path / "run/exploration.json").read_text())
     assert (found["reason"], found["anchored"], found["effect"]) == ("decided", ["3", "4"], "gravity")
-    weight = found["amounts"]["gravity.weight"]
+    weight = found["parameters"]["gravity.weight"]
     assert weight["value"] == pytest.approx(WEIGHT, abs=4 * weight["stderr"])
     assert weight["unit"] == "N/m^3"
     # Noise is all there is: of what mesh and scene may have wrong nothing is.
-    assert 0.8 < found["missed"] < 1.1
+    assert 0.8 < found["normalised_rms"] < 1.1
     text = (tmp_path / "run/summary.txt").read_text()
     assert "{3 4} + gravity" in text
     assert "told them apart most" in text
@@ -164,7 +164,7 @@ def test_a_hidden_weight_is_told_from_soft_anchors(coarse_scene: Path, tmp_path:
     run_exploration(coarse_scene, "simulated:3,4", tmp_path / "alone", alone, MPI.COMM_SELF, hidden=hidden)
     found = json.loads((tmp_path / "alone/exploration.json").read_text())
     assert found["reason"] != "decided"
-    assert found["missing"] > 0.95
+    assert found["discrepancy_probability"] > 0.95
 
 
 def test_an_effect_is_not_fitted_at_a_place_that_it_has_not(coarse_scene: Path) -> None:

@@ -8,18 +8,19 @@ import pytest
 PROJECT = Path(__file__).resolve().parents[2]
 # Lines and files of each room at most. They are lowered as rooms become smaller; a number that is raised needs a reason.
 BUDGETS = {
-    "base": (3330, 30),
+    "base": (3310, 29),
     "scene": (1590, 12),
     "measurement": (6560, 33),
     "forms": (14420, 117),
-    "inference": (3610, 22),
+    "inference": (3590, 22),
     "predict": (1850, 12),
-    "search": (9800, 51),
+    "results": (1110, 10),
+    "search": (9680, 51),
     "grammar": (2500, 18),
-    "exploration": (1890, 11),
+    "exploration": (1900, 11),
     "vision": (5110, 30),
-    "report": (3640, 26),
-    "api": (810, 3),
+    "report": (3680, 26),
+    "api": (610, 3),
     "app": (1840, 12),
     "validation": (19350, 155),
 }

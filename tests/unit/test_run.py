@@ -88,7 +88,7 @@ def test_the_lock_of_a_dead_process_is_taken_over(tmp_path: Path) -> None:
     run.release()
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", '{"format": "x"}', '{"format": "bcid-run/1"}', "\xff"])
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"format": "x"}', '{"format": "bcid-run/2"}', "\xff"])
 def test_damaged_records(tmp_path: Path, text: str) -> None:
     run = RunFolder.start(tmp_path / "run", "identify", INPUTS)
     run.finish({})

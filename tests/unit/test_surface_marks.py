@@ -232,8 +232,8 @@ def test_that_points_are_lost_once_the_body_moves_is_said(slab: Scene, filmed: M
 def test_a_model_is_compared_with_what_a_surface_shows(slab: Scene, filmed: Measurement) -> None:
     found = bcid.compare(slab, filmed, HELD, level=1)
     assert found.adequate
-    assert set(found.found["residual_by"]["axis"]) == {"normal"}
-    assert {name.split()[0] for name in found.found["residual_by"]["fiducial"]} == {"surface"}
+    assert set(found.residual_by["axis"]) == {"normal"}
+    assert {name.split()[0] for name in found.residual_by["fiducial"]} == {"surface"}
 
 
 @pytest.mark.parametrize(("factor", "shift"), [(1e3, 0.0), (1.0, 0.06)])

@@ -143,8 +143,8 @@ def test_identify_inconsistent_data_no_set_is_certain(slab: Scene, case: str) ->
     assert identified.probability < THRESHOLDS.credible or (
         not identified.anchored and case == "all markers move alike"
     )
-    assert identified.missing is not None
-    assert identified.missing > THRESHOLDS.credible
+    assert identified.discrepancy_probability is not None
+    assert identified.discrepancy_probability > THRESHOLDS.credible
 
 
 def softer(slab: Scene) -> Scene:

@@ -51,9 +51,11 @@ def test_one_camera_sees_what_is_attached(slab: Scene, measured: Measurement, tm
     assert np.isnan(plane.positions[..., 2]).all()
     np.testing.assert_allclose(plane.positions[..., SEEN], measured.positions[..., SEEN])
     found = identify(slab, plane)
-    assert (found.anchored, found.probability > 0.99, found.missing < 0.5) == (("1", "2"), True, True)
+    assert (found.anchored, found.probability > 0.99, found.discrepancy_probability < 0.5) == (("1", "2"), True, True)
     wrong = identify(slab, flat(slab, measured))
-    assert wrong.missing > 0.99 or wrong.anchored != ("1", "2"), "a coordinate that is made up is believed"
+    assert wrong.discrepancy_probability > 0.99 or wrong.anchored != ("1", "2"), (
+        "a coordinate that is made up is believed"
+    )
 
 
 def test_every_axis_has_its_noise(slab: Scene, measured: Measurement) -> None:

@@ -135,7 +135,7 @@ def test_a_block_that_is_cut_out_of_a_body_tells_how_stiff_a_ball_in_it_is(cut: 
         cut, volume, options=ExplainOptions(only=("region_stiffness", "stiffness_gradient", "strain_stiffening"))
     )
     assert found.verdict == "region_stiffness"
-    assert found.found["probabilities"]["effects"]["region_stiffness"] > 0.9
+    assert found.posterior.effects["region_stiffness"] > 0.9
     assert found.parameters[f"{BALL}.ratio"]["value"] == pytest.approx(5.0, rel=0.06)
 
 

@@ -553,8 +553,8 @@ def test_a_body_that_buckles_with_the_true_anchors_alone_is_no_evidence_that_som
     start = [frozenset({"2", "7"}), frozenset({"3", "4"})]
     found = identify(slab, measurement, options=IdentifyOptions(exhaustive="no", level=1), start=start)
     assert found.anchored == ("3", "4")
-    assert found.missing is not None
-    assert found.missing < 0.1
+    assert found.discrepancy_probability is not None
+    assert found.discrepancy_probability < 0.1
 
 
 def test_a_body_that_buckles_on_its_way_is_seen_though_it_comes_back(

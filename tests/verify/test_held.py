@@ -156,9 +156,11 @@ def test_a_glued_pad_is_no_candidate(project: Path) -> None:
         predictor.destroy()
     options = IdentifyOptions(exhaustive="no")
     found = identify(known, measured, options=options)
-    assert (found.anchored, found.probability > 0.99, found.missing < 0.5) == (("1",), True, True)
+    assert (found.anchored, found.probability > 0.99, found.discrepancy_probability < 0.5) == (("1",), True, True)
     unknown = identify(replace(known, held={}), measured, options=options)
-    assert unknown.missing > 0.99 or unknown.anchored != ("1",), "a body that is held elsewhere is not explained"
+    assert unknown.discrepancy_probability > 0.99 or unknown.anchored != ("1",), (
+        "a body that is held elsewhere is not explained"
+    )
 
 
 def test_what_is_wrong_with_what_is_held_is_said(tmp_path: Path) -> None:

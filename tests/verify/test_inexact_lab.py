@@ -26,9 +26,9 @@ def test_a_body_of_which_nothing_is_hidden_is_explained(project: Path) -> None:
     assert found.probability > 0.99
     assert found.rms > 2.5 * found.noise
     assert found.explains
-    assert found.missing is not None
-    assert found.missing < 0.5
-    assert not any(one.used_up for one in found.nuisances)
+    assert found.discrepancy_probability is not None
+    assert found.discrepancy_probability < 0.5
+    assert not any(one.exceeds_prior for one in found.input_uncertainties)
 
 
 @pytest.mark.slow
@@ -38,4 +38,4 @@ def test_the_anchors_are_seen_although_gravity_is_missing(project: Path) -> None
     assert found.anchored == ("1", "4")
     assert found.probability > 0.95
     assert not found.explains
-    assert not any(one.used_up for one in found.nuisances)
+    assert not any(one.exceeds_prior for one in found.input_uncertainties)

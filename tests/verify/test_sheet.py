@@ -210,27 +210,27 @@ def test_unknown_thickness_gives_stiffness_per_thickness(tmp_path: Path, measure
     scene = replace(scene, material=replace(scene.material, values={"young": "60 kPa", "poisson": 0.4}))
     found = identify(scene, measured)
     assert found.anchored == ("up",)
-    told = found.found["stiffness"]["constants"]["young"]
-    low, high = told["interval"]
+    told = found.stiffness.constants["young"]
+    low, high = told.interval
     assert low < YOUNG * THICKNESS * 1e-3 < high < 1.5 * low
-    assert (told["unit"], told["scene"]) == ("N/mm", pytest.approx(0.06))
+    assert (told.unit, told.scene) == ("N/mm", pytest.approx(0.06))
     assert "young x thickness = 0.0" in found.summary
     assert "N/mm (95 %" in found.summary
     assert "the thickness is unknown, so that the constants themselves are not known" in found.summary
     assert "Its thickness is unknown, and it is computed with 1 mm" in found.summary
     fitted = fit(scene, measured, free=["young"], anchors=["up"])
-    law = fitted.found["law"]["young"]
-    assert law["unit"] == "N/mm"
-    assert law["interval"][0] < 0.04 < law["interval"][1]
+    law = fitted.law["young"]
+    assert law.unit == "N/mm"
+    assert law.interval[0] < 0.04 < law.interval[1]
     assert "young x thickness = " in fitted.summary
 
 
 def test_known_thickness_gives_the_constants(tmp_path: Path, measured: Measurement) -> None:
     scene = sheet(tmp_path, PATCHES)
     found = identify(scene, measured)
-    told = found.found["stiffness"]["constants"]["young"]
-    assert told["unit"] == "Pa"
-    assert told["interval"][0] < YOUNG < told["interval"][1]
+    told = found.stiffness.constants["young"]
+    assert told.unit == "Pa"
+    assert told.interval[0] < YOUNG < told.interval[1]
     assert "A sheet of 18 cm^2 and a thickness of 2 mm, in plane stress" in found.summary
     assert "thickness is unknown" not in found.summary
 
@@ -276,8 +276,8 @@ def test_anchors_of_the_example_are_found(project: Path) -> None:
     seen = simulate(replace(scene, levels=(Level(3, 0.004),)), {"up_2"}, [pull], noise=0.02e-3, random_state=1)
     found = identify(scene, seen)
     assert found.anchored == ("up_2",)
-    assert found.found["probability"] > 0.99
-    assert found.found["missing"] < 0.5
+    assert found.probability > 0.99
+    assert found.discrepancy_probability < 0.5
 
 
 def test_a_gripper_that_lifts_a_little_leads_in_the_plane(tmp_path: Path) -> None:

@@ -38,7 +38,7 @@ from bcid.search.fitting.fitted_hypothesis import FittedHypothesis
 from bcid.search.fitting.state import State
 from bcid.search.followed_sets import FollowedSets
 from bcid.search.hill_climbing import all_candidates
-from bcid.search.identify import astray, identify
+from bcid.search.identify import identify, outliers
 from bcid.search.settings import SETTINGS
 
 PATCHES = ("1", "3", "4", "7")
@@ -167,8 +167,8 @@ def test_sets_that_data_cannot_tell_apart_are_one_class(slab: Scene, noise: floa
     assert found.classes[0][0] == found.anchored
     seen = simulated.positions - found.prediction.positions
     assert np.sqrt(np.mean(seen**2)) == pytest.approx(found.rms, rel=1e-6)
-    assert found.missing is not None
-    assert found.missing < 0.5
+    assert found.discrepancy_probability is not None
+    assert found.discrepancy_probability < 0.5
 
 
 @pytest.mark.parametrize(("count", "shift", "gone"), [(1, 20e-3, 1), (5, 20e-3, 0), (1, 0.5e-3, 0)])
@@ -179,7 +179,7 @@ def test_a_fiducial_that_does_not_go_with_the_body_is_astray(slab: Scene, count:
     positions[len(positions) // 2 :, :count, 2] += shift * (-1.0) ** np.arange(count)
     data = seen.data.assign(position=(("frame", "fiducial", "axis"), positions))
     predictor, rival = fitted(slab, replace(seen, data=data))
-    assert astray(rival.fitted.state) == tuple(seen.fiducial_names[:gone])
+    assert outliers(rival.fitted.state) == tuple(seen.fiducial_names[:gone])
     predictor.destroy()
 
 

@@ -167,8 +167,8 @@ def test_answer_is_right_with_the_line_and_not_without(tmp_path: Path, measured:
     answers = {}
     for kind in (WRINKLED, FLAT):
         found = identify(sheet(tmp_path / str(len(kind)), kind, held=PATCHES, size=7), measured)
-        interval = found.found["stiffness"]["constants"]["young"]["interval"]
-        answers[kind] = found.anchored, found.found["missing"], interval[0] < YOUNG < interval[1]
+        interval = found.stiffness.constants["young"].interval
+        answers[kind] = found.anchored, found.discrepancy_probability, interval[0] < YOUNG < interval[1]
         assert ("which wrinkles where it would be pushed together" in found.summary) == (kind == WRINKLED)
     assert answers[WRINKLED][0] == ()
     assert answers[WRINKLED][1] < 0.5

@@ -79,8 +79,8 @@ def test_points_inside_of_a_body_tell_its_anchors(imported: tuple[Scene, Path]) 
     found = identify(scene, seen)
     assert set(found.anchored) == ANCHORS
     assert found.probability > 0.99
-    assert found.missing is not None
-    assert found.missing < 0.1
+    assert found.discrepancy_probability is not None
+    assert found.discrepancy_probability < 0.1
     assert found.noise is not None
     assert found.rms < 1.2 * found.noise
 

@@ -219,7 +219,7 @@ def told(folder: Path, name: str) -> str:
         here = named["parameters"][key] if named else None
         amount, error = (here["value"], here["stderr"]) if isinstance(here, dict) else (here, None)
         values.append(f"{key} {amount:.4g}" + (f" ± {error:.2g}" if error is not None else "") + f" ({value:.4g})")
-    errors = [rung["rms"] for rung in diagnosis["ladder"]]
+    errors = [rung["rms"] for rung in diagnosis["model_sequence"]]
     return " | ".join(
         [
             f"{name.split('-')[0]}, {' '.join(case.anchors)}, {effect}",

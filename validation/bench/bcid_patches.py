@@ -46,7 +46,7 @@ def main() -> None:
     truth = {name for name in scene.patches if name.split(".")[0] in ("1", "2")}
     record |= {"patches": len(scene.patches), "answer": encoded(found.anchored), "rms_mm": found.rms * 1e3}
     record |= {"wrong": len(truth ^ set(found.anchored)), "trajectories": sum(found.evaluations.values())}
-    record |= {"sets": sum(found.looked_at[what] for what in ("in full", "stopped", "failed"))}
+    record |= {"sets": sum(found.evaluated[what] for what in ("in full", "stopped", "failed"))}
     print(json.dumps(record), flush=True)
 
 

@@ -307,7 +307,7 @@ class Bench:
             "asked": robot.asked,
             "gained": [step.gained for step in found.steps],
             "expected": [None if math.isnan(step.expected[0]) else step.expected[0] for step in found.steps],
-            "stiffness": found.view.stiffness.to_json() if found.view.stiffness else None,
+            "stiffness": found.view.stiffness.record().to_json() if found.view.stiffness else None,
             "calls": len(self.predictor.asked),
             "seconds": round(time.perf_counter() - start, 3),
         }

@@ -52,14 +52,14 @@ def _known(answer: Json) -> Json | None:
 
 
 def _right_verdicts(truth: Json, diagnosis: Json) -> Iterable[float]:
-    effects = diagnosis["probabilities"]["effects"]
+    effects = diagnosis["posterior"]["effects"]
     return (p for verdict, p in effects.items() if verdict_right(truth, {"verdict": verdict}))
 
 
 def _right_anchors(truth: Json, diagnosis: Json) -> Iterable[float]:
     """Of the reported set its whole probability; of others that of the hypotheses that are listed."""
     apart, anchored, reported = set(truth["not_asked"]), set(truth["anchored"]), set(diagnosis["anchored"])
-    listed = [(set(one["anchored"]), one["probability"]) for one in diagnosis["probabilities"]["hypotheses"]]
+    listed = [(set(one["anchored"]), one["probability"]) for one in diagnosis["posterior"]["hypotheses"]]
     sets = [(reported, diagnosis["anchors_probability"]), *((s, p) for s, p in listed if s != reported)]
     return (p for s, p in sets if not (s ^ anchored) - apart)
 

@@ -42,7 +42,7 @@ def _is_told(entry: Json, name: str) -> bool:
 
 def adopted(diagnosis: Json, effect: str) -> Json | None:
     """What the model of a diagnosis has of an effect."""
-    entries = diagnosis.get("adopted", ())
+    entries = diagnosis.get("selected_effects", ())
     return next((entry for entry in entries if str(entry["effect"]).split("(")[0] == effect), None)
 
 

@@ -69,7 +69,7 @@ def hidden(truth: Json) -> list[str]:
 
 def ranked(diagnosis: Json, count: int) -> list[str]:
     """The first names of the ranking, each once."""
-    names = diagnosis.get("first_ranked") or [entry["effect"] for entry in diagnosis["ranking"]]
+    names = [entry["effect"] for entry in diagnosis["ranking"]]
     return list(dict.fromkeys(str(name).split("(")[0].strip() for name in names))[:count]
 
 
@@ -140,7 +140,7 @@ def _no_false_name(truth: Json, diagnosis: Json) -> bool:
 
 def _doubted(wanted: bool) -> Callable[[Json, Json], bool | None]:
     """Not asked of a diagnosis that never says whether it doubts the noise."""
-    return lambda truth, diagnosis: bool(diagnosis["noise_doubt"]) == wanted if "noise_doubt" in diagnosis else None
+    return lambda truth, diagnosis: bool(diagnosis["noise_warning"]) == wanted if "noise_warning" in diagnosis else None
 
 
 def _of(*kinds: str) -> Callable[[Json], bool]:

@@ -37,7 +37,7 @@ def _of_asked(truth: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> float |
     and rightly spreads what it believes over sets with and without it. One that lists no sets tells only that of its own.
     """
     apart, sets = set(truth["not_asked"]), dict[frozenset[str], float]()
-    listed = diagnosis.get("probabilities", {}).get("hypotheses", ())
+    listed = diagnosis.get("posterior", {}).get("hypotheses", ())
     if not listed:
         return diagnosis.get("anchors_probability")
     for hypothesis in listed:

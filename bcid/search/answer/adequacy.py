@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from bcid.base.tails import chi2_tail, normal_tail
 from bcid.inference.thresholds import THRESHOLDS
+from bcid.results.diagnosis_record import Finding
 from bcid.search.fitting.state import State
 
 Array = NDArray[np.float64]
@@ -17,23 +18,6 @@ Array = NDArray[np.float64]
 NOT_REFUTED = "nothing against it"
 # The test that finds a frame from which on nothing fits.
 BREAKING = "from a frame on"
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One test of the residual.
-
-    Attributes:
-        name: what it looks for.
-        p_value: probability of what was found, or more, if only noise and the error of the mesh act.
-        text: the finding in words.
-        decides: whether it counts for the verdict (the others only describe).
-    """
-
-    name: str
-    p_value: float
-    text: str
-    decides: bool = False
 
 
 @dataclass(frozen=True)

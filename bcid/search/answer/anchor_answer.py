@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.forms.forward import Prediction
+from bcid.inference import nuisance_text
 from bcid.inference.hypotheses import label, patches
 from bcid.inference.thresholds import THRESHOLDS
-from bcid.search.answer.identification import Alternative, Identification
+from bcid.results.identification_record import AnchorSet
+from bcid.search.answer.identification import Identification, adequate, not_converged
 from bcid.search.fitting.fitted_hypothesis import FittedHypothesis, best_first
 from bcid.search.fitting.state import State
 from bcid.search.followed_sets import FollowedSet, FollowedSets
@@ -52,26 +54,31 @@ class AnchorAnswer:
         evaluations[level] = evaluations.get(level, 0.0) + spent
         failures = {h.anchors: "cannot be followed" for h in sorted(self.table.refused, key=lambda h: h.order)}
         failures |= {c: f.failure for c, f in self.found.items() if f.failure}
+        noise, stiffness = state.noise if predictor.data.stated else None, best.fitted.stiffness
+        alternatives, discrepancy = self.alternatives(), odds.verdicts["unknown"]
         return Identification(
             anchored=self.names(best.anchors),
             probability=odds.held_by(best.anchors),
             patches=patches(odds.probabilities, predictor.whole.patches),
             rms=state.rms,
-            noise=state.noise if predictor.data.stated else None,
-            discretisation=state.errors.mesh_rms if state.errors.mesh.known else None,
+            noise_rms=noise,
+            discretisation_rms=state.errors.mesh_rms if state.errors.mesh.known else None,
             certified=not counts["failed"] and not counts["not"],
-            evaluations=dict(sorted(evaluations.items())),
-            looked_at=counts,
-            alternatives=self.alternatives(),
+            evaluations={level: round(count, 3) for level, count in sorted(evaluations.items())},
+            evaluated=counts,
+            alternatives=alternatives,
             classes=self.classes(state),
             levels=tuple(sorted({*(self.staged.levels if self.staged else ()), level})),
             stages=self.stages(),
             prediction=Prediction(state.predicted, ()),
             failures={label(c, predictor.whole.patches): reason for c, reason in failures.items()},
-            seconds=0.0,
-            missing=odds.verdicts["unknown"],
-            nuisances=tuple(errors.told(state.residual)),
-            stiffness=best.fitted.stiffness,
+            not_converged=not_converged(alternatives),
+            remarks=(),
+            discrepancy_probability=discrepancy,
+            outliers=(),
+            adequate=adequate(state.rms, noise, discrepancy),
+            input_uncertainties=nuisance_text.rows(errors.told(state.residual)),
+            stiffness=stiffness.record() if stiffness else None,
         )
 
     @property
@@ -110,7 +117,7 @@ class AnchorAnswer:
         """The patches of a set in the scene's order."""
         return tuple(p for p in self.best.fitted.state.predictor.whole.patches if p in anchors)
 
-    def alternatives(self) -> tuple[Alternative, ...]:
+    def alternatives(self) -> tuple[AnchorSet, ...]:
         """The most probable other sets of which more is known than a tangent tells."""
         odds, fitted = self.table.odds, self.fitted
         order = sorted(
@@ -118,7 +125,7 @@ class AnchorAnswer:
         )
         return tuple(self.alternative(c, fitted.get(c)) for c in order[:_REPORTED])
 
-    def alternative(self, other: Anchored, fitted: FittedHypothesis | None) -> Alternative:
+    def alternative(self, other: Anchored, fitted: FittedHypothesis | None) -> AnchorSet:
         """A set beside the reported one, in the frames that it was followed in."""
         probability, names, state = self.table.odds.held_by(other), self.names(other), self.best.fitted.state
         level, data = state.predictor.fine_level, state.predictor.data
@@ -126,12 +133,30 @@ class AnchorAnswer:
         if found is None:
             assert fitted is not None
             here = fitted.fitted.state
-            return Alternative(names, probability, here.rms, level, False, state.rms, len(here.predictor.data.mask))
+            frames = len(here.predictor.data.mask)
+            return AnchorSet(
+                anchored=names,
+                probability=probability,
+                rms=here.rms,
+                reported_rms=state.rms,
+                frames=frames,
+                level=level,
+                stopped=False,
+            )
         rows = data.of_position & found.frames[data.frame]
         apart = data.vector(np.nan_to_num(found.positions - state.prediction.positions))
         misses, own = (_rms(values[rows]) for values in (state.residual - apart, state.residual))
         stopped = not (found.complete or found.failure)
-        return Alternative(names, probability, misses, level, stopped, own, int(found.frames.sum()), found.failure)
+        return AnchorSet(
+            anchored=names,
+            probability=probability,
+            rms=misses,
+            reported_rms=own,
+            frames=int(found.frames.sum()),
+            level=level,
+            stopped=stopped,
+            failure=found.failure,
+        )
 
     def classes(self, state: State) -> tuple[tuple[tuple[str, ...], ...], ...]:
         """The likely sets that can be followed to the end, in classes that the measured motions cannot tell apart.

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bcid.base.units import percent
-from bcid.base.verdict_words import NO_EFFECTS
 from bcid.inference.hypotheses import label
+from bcid.results.words import NO_EFFECTS
 from bcid.search.answer.next_steps import NextSteps
 from bcid.search.answer.scene_sensitivity import AnswerAt
 from bcid.search.settings import SETTINGS
@@ -50,4 +50,4 @@ def next_steps(found: NextSteps | None) -> list[str]:
             "",
         ]
     lines = [f"What to do next (expected, of the {found.open:.2g} bits that are open about anchors and effects):"]
-    return [*lines, *(f"  {step.bits:.2f} bits: {step.text}" for step in found.steps[:_STEPS]), ""]
+    return [*lines, *(f"  {step.expected_bits:.2f} bits: {step.text}" for step in found.steps[:_STEPS]), ""]

@@ -15,14 +15,23 @@ from bcid.base.progress import Progress
 from bcid.base.run_folder import RunFolder, running
 from bcid.predict.predictor import Predictor
 from bcid.predict.store import CHECKPOINT, PredictionStore
+from bcid.results.run_documents import write_documents
 from bcid.search.answer.diagnosis import Diagnosis, check_terms, compared, diagnosed, explained, on_predictor, refitted
 from bcid.search.answer.output import collect, documents
 from bcid.search.answer.source import Source, find_effect, from_files, from_run
 from bcid.search.answer.written_term import parsed_term
 
 MAKES = (
-    *("diagnosis.json", "model.json", "identification.json", "residuals.nc", "body.nc", "where.json", "summary.txt"),
-    *("picture.png", "ladder.png", "where.png", "paraview/", "report.html", f"{CHECKPOINT}/"),
+    *(
+        "diagnosis.json",
+        "model.json",
+        "identification.json",
+        "residuals.nc",
+        "body.nc",
+        "discrepancy.json",
+        "summary.txt",
+    ),
+    *("picture.png", "models.png", "discrepancy.png", "paraview/", "report.html", f"{CHECKPOINT}/"),
 )
 # Where `explain` finds that no known effect explains the measurement, a term that does is looked for in a folder of its own.
 _EXPLAIN_MAKES = (*MAKES, "propose/")
@@ -158,7 +167,7 @@ def finish(
     run: RunFolder, source: Source, predictor: Predictor, found: dict[str, Any], content: dict[str, Any]
 ) -> None:
     """Write the documents of a diagnosis into its run folder, and note how it ended."""
-    run.write_documents(found)
+    write_documents(run, found)
     run.record |= {
         "names": {"scene": str(source.scene_file), "measurement": str(source.measurement_file)},
         "ranks": predictor.comm.size,
@@ -169,4 +178,5 @@ def finish(
         steps = predictor.store
         run.record["steps"] = {"computed": steps.computed, "recalled": steps.recalled}
     told = ("adequate", "verdict", "anchored", "rms", "noise_rms")
-    run.finish({key: found["diagnosis.json"][key] for key in told})
+    result = found["diagnosis.json"].to_json()
+    run.finish({key: result[key] for key in told})

@@ -23,12 +23,13 @@ from bcid.measurement import Measurement
 from bcid.predict.mesh_ladder import mesh_error
 from bcid.predict.predictor import Predictor
 from bcid.predict.store import PredictionStore
+from bcid.results.diagnosis_record import SeparatingPull
 from bcid.scene import Scene
 from bcid.search.answer.adequacy import judge
 from bcid.search.answer.explanation import Explanation, ModelStep
 from bcid.search.answer.next_steps import NextSteps, next_steps
 from bcid.search.answer.scene_sensitivity import AnswerAt, fitted_hypotheses, scene_sensitivity
-from bcid.search.answer.separate import Pull, separating_pulls
+from bcid.search.answer.separate import separating_pulls
 from bcid.search.answer.source import Source
 from bcid.search.answer.surface_rounds import settled
 from bcid.search.answer.where import MissingForce, missing_force
@@ -63,7 +64,7 @@ class Diagnosis:
     rungs: tuple[ModelStep, ...]
     where: MissingForce | None
     explanation: Explanation | None = None
-    pulls: tuple[Pull, ...] = ()
+    pulls: tuple[SeparatingPull, ...] = ()
     sensitivity: tuple[AnswerAt, ...] = ()
     next_steps: NextSteps | None = None
 
@@ -168,7 +169,7 @@ def refitted(
 def explained(predictor: Predictor, source: Source, options: ExplainOptions) -> Diagnosis:
     """Anchors and missing effects, until the model is adequate or nothing helps. Collective on the predictor's ranks."""
     found = explain(predictor, options, source.model, source.own)
-    where, pulls, sensitivity, steps = None, list[Pull](), list[AnswerAt](), None
+    where, pulls, sensitivity, steps = None, list[SeparatingPull](), list[AnswerAt](), None
     # What is computed about the answer costs no answer where it fails.
     with suppress(SolveError), evaluating("the missing force", predictor.skip):
         where = None if found.last.adequacy.adequate else missing_force(found.last.state)
@@ -236,7 +237,7 @@ def _added(state: State, one: Term) -> State:
     return State.of(state.predictor, model, state.anchors, state.errors.mesh, state.free)
 
 
-def _pulls(found: Explanation) -> list[Pull]:
+def _pulls(found: Explanation) -> list[SeparatingPull]:
     """Pulls that tell the last model from the next best, of those that were compared with all steps."""
     last = found.last.state
     others = [r for r in found.rivals if (r.fitted.state.model.name, r.anchors) != (last.model.name, last.anchors)]

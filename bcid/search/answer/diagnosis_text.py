@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -20,18 +19,18 @@ from bcid.base.units import (
     significance,
     uncertain,
 )
-from bcid.base.verdict_words import NO_EFFECTS, not_adequate_either
 from bcid.forms.course import Course, course_of
 from bcid.forms.model import Term
 from bcid.forms.parameter import Parameter
 from bcid.inference import nuisance_text
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, label
-from bcid.inference.stiffness import StiffnessScale
 from bcid.inference.thresholds import THRESHOLDS
+from bcid.results.common_rows import unknown_thickness
+from bcid.results.diagnosis_record import SeparatingPull, TimeHistory
+from bcid.results.words import NO_EFFECTS, not_adequate_either, pull_text
 from bcid.search.answer.adequacy import BREAKING, Adequacy, groups
 from bcid.search.answer.evidence_split import PARTS, EvidenceSplit, no_better_fit
 from bcid.search.answer.explanation import Explanation, ModelStep
-from bcid.search.answer.separate import Pull
 from bcid.search.answer.where import MissingForce
 from bcid.search.fitting import curvature
 from bcid.search.fitting.fit import Fit
@@ -71,16 +70,15 @@ def term(one: Term, errors: Mapping[str, float], limits: Mapping[str, float] | N
 
 def law(fitted: Fit) -> list[str]:
     """Fitted constants of the law: "young = 2.64e+05 Pa (95 %: 2.4e+05 to 2.9e+05)"."""
-    lines, scale = [], StiffnessScale.of(fitted.state.predictor.whole)
-    for name, one in fitted.law.items():
-        unit = "" if one["unit"] == "1" else f" {one['unit']}"
-        if one["interval"] is None:
+    lines, constants = [], fitted.law
+    for name, one in constants.items():
+        unit = "" if one.unit == "1" else f" {one.unit}"
+        if one.interval is None:
             lines.append(f"  {name} is not identifiable from these data")
         else:
-            low, high = one["interval"]
-            times = scale.times if one["per_thickness"] else ""
-            lines.append(f"  {name}{times} = {one['value']:.4g}{unit} (95 %: {low:.3g} to {high:.3g})")
-    return [f"Fitted constants of the law{scale.unknown}:", *lines] if lines else []
+            low, high = one.interval
+            lines.append(f"  {name}{one.times} = {one.value:.4g}{unit} (95 %: {low:.3g} to {high:.3g})")
+    return [f"Fitted constants of the law{unknown_thickness(constants.values())}:", *lines] if lines else []
 
 
 def own(fitted: Fit, one: Term, of: Mapping[str, float]) -> dict[str, float]:
@@ -100,17 +98,15 @@ def _ends(one: Term, course: Course, amount: Parameter, errors: Mapping[str, flo
     return f"{amount.name} from {told[0]} to {told[1]}"
 
 
-def in_time(row: dict[str, Any]) -> str:
-    """A row of `courses` in a sentence: "active_stress: amplitude swings between −310 and 290 Pa"."""
-    at = f" at {row['place']}" if row["place"] else ""
-    p, who = row["p_constant"], f"{row['effect']}{at}: {row['amount']}"
+def in_time(row: TimeHistory) -> str:
+    """A time history in a sentence: "active_stress: amplitude swings between −310 and 290 Pa"."""
+    at = f" at {row.place}" if row.place else ""
+    p, who = row.p_constant, f"{row.effect}{at}: {row.amount}"
     if p is None:
         return f"{who}: whether it changes with time is not told."
     if p > THRESHOLDS.surprise:
         return f"{who} may as well be constant ({p_value(p)})."
-    (low, _, unit), (high, _, _) = (
-        for_people(end, None, row["unit"]) for end in (min(row["values"]), max(row["values"]))
-    )
+    (low, _, unit), (high, _, _) = (for_people(end, None, row.unit) for end in (min(row.values), max(row.values)))
     return (
         f"{who} swings between {uncertain(low)} and {uncertain(high, None, unit)} ({p_value(p)} that it is constant)."
     )
@@ -129,7 +125,7 @@ def warning(rung: ModelStep) -> list[str]:
             f"WARNING: the model misses the measurement by {state.rms / state.noise:.1f} times the noise "
             f"({1e3 * state.rms:.3g} mm where it is {1e3 * state.noise:.3g} mm)."
         )
-    return lines + nuisance_text.warnings(state.told)
+    return lines + nuisance_text.warnings(nuisance_text.rows(state.told))
 
 
 def noise_doubt(found: Explanation) -> str:
@@ -212,7 +208,7 @@ def verdict(state: State, adequacy: Adequacy, unit: float, name: str) -> list[st
         f"{state.model.name} with anchors {anchors(state)} {is_so} {adequacy.word.upper()} ({p_value(adequacy.p_value)}{untold}).",
         f"  It misses the measurement by {state.rms / unit:.3g} {name} per coordinate (RMS), {state.rough / unit:.3g} of it like "
         f"noise; noise {state.noise / unit:.3g} {name} ({stated}), error of the mesh {known}.",
-        *(f"  {line}" for line in nuisance_text.allowed(state.told)),
+        *(f"  {line}" for line in nuisance_text.allowed(nuisance_text.rows(state.told))),
         *(
             f"  In action {action} that moves the body otherwise than to first order, as near an instability: "
             f"{missed / unit:.2g} {name} (RMS) are allowed for."
@@ -318,7 +314,7 @@ def ladder(rungs: Sequence[ModelStep], unit: float, name: str) -> list[str]:
     return lines
 
 
-def conclusion(found: Explanation, unit: float, name: str, pulls: Sequence[Pull] = ()) -> list[str]:
+def conclusion(found: Explanation, unit: float, name: str, pulls: Sequence[SeparatingPull] = ()) -> list[str]:
     """The verdict in one to three sentences."""
     first, last = found.rungs[0], found.last
     held = anchors(last.state)
@@ -372,12 +368,12 @@ def _beyond(first: ModelStep, last: ModelStep) -> str:
 
 def _look(found: Explanation) -> str:
     """What else may tell; a force that is there all the time does not explain what begins."""
-    return "" if found.begins else "Look where the force that would explain it acts. "
+    return "" if found.change_point else "Look where the force that would explain it acts. "
 
 
 def _begins(found: Explanation) -> list[str]:
     """By when what is unknown has begun, as where something tears, sticks or lets go."""
-    if (onset := found.begins) is None:
+    if (onset := found.change_point) is None:
         return []
     return [
         f"It is not there from the start ({percent(onset.probability)}, if it is unknown), and shows by step {onset.step} of "
@@ -401,7 +397,7 @@ def _held(found: Explanation, held: str) -> str:
     return f" Anchored: {held} ({percent(found.held_by)})."
 
 
-def _open(found: Explanation, pulls: Sequence[Pull]) -> list[str]:
+def _open(found: Explanation, pulls: Sequence[SeparatingPull]) -> list[str]:
     """What these data leave open, and the pull that would tell."""
     if not found.open:
         return []
@@ -414,7 +410,8 @@ def _open(found: Explanation, pulls: Sequence[Pull]) -> list[str]:
     if found.held_by < THRESHOLDS.credible:
         lines.append("These data do not tell for certain which patches hold the body.")
     if pulls and pulls[0].sigmas >= _SEPARATE:
-        lines.append(f"The pull that would separate the two likeliest models best: {pulls[0].text}.")
+        best = f"{pull_text(pulls[0])} ({pulls[0].sigmas:.0f} sigma apart)"
+        lines.append(f"The pull that would separate the two likeliest models best: {best}.")
     elif pulls:
         lines.append("No pull along an axis would separate them: they do the same, or need another kind of experiment.")
     return lines

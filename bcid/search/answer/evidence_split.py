@@ -11,10 +11,10 @@ and what an unmodelled discrepancy adds where it has one.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
+from bcid.results.diagnosis_record import EvidenceRow, HypothesisRow
 from bcid.search.fitting.fitted_hypothesis import FittedHypothesis
 
 # A difference of log evidence that is notable: odds of three.
@@ -63,12 +63,16 @@ class EvidenceSplit:
         parts = {name: getattr(self, name) - getattr(other, name) for name in PARTS}
         return EvidenceSplit(self.hypothesis, self.probability, **parts)
 
-    def to_json(self, order: Sequence[str]) -> dict[str, Any]:
-        """A row of `evidence_split`."""
-        h = self.hypothesis
-        names = {"anchored": sorted(h.anchors, key=list(order).index), "effects": list(h.names), "unknown": h.unknown}
-        found = asdict(self)
-        return names | {name: found[name] for name in ("probability", *PARTS)}
+    def row(self, order: Sequence[str]) -> EvidenceRow:
+        """As results hold it."""
+        parts = {name: getattr(self, name) for name in PARTS}
+        return EvidenceRow(**vars(hypothesis_row(self.hypothesis, self.probability, order)), **parts)
+
+
+def hypothesis_row(h: Hypothesis, probability: float, order: Sequence[str]) -> HypothesisRow:
+    """A hypothesis as results hold it; `order` has the patches of the scene."""
+    anchored = tuple(name for name in order if name in h.anchors)
+    return HypothesisRow(anchored=anchored, effects=h.names, unknown=h.unknown, probability=probability)
 
 
 PARTS = ("misfit", "volume", "occam", "discrepancy", "prior")

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from bcid.inference.data import Noise
 from bcid.inference.hypotheses import HypothesisOdds
 from bcid.inference.thresholds import THRESHOLDS
+from bcid.results.diagnosis_record import ChangePointRow
 from bcid.search.answer.adequacy import Adequacy
 from bcid.search.answer.evidence_split import EvidenceSplit, evidence_splits
 from bcid.search.answer.identification import Identification
@@ -46,20 +47,6 @@ class ModelStep:
         """Of the model, with the constants of the law that were fitted: "neo_hooke + gravity (young fitted)"."""
         fitted = [number for number in self.state.free if number in self.state.model.values]
         return self.state.model.name + (f" ({' '.join(fitted)} fitted)" if fitted else "")
-
-
-@dataclass(frozen=True)
-class Onset:
-    """Something unknown begins.
-
-    Attributes:
-        action, step: by when it has begun (95 %); before that it may not have shown.
-        probability: that it begins at some time, if it is unknown.
-    """
-
-    action: str
-    step: int
-    probability: float
 
 
 @dataclass(frozen=True)
@@ -115,14 +102,14 @@ class Explanation:
         return evidence_splits(self.rivals, self.odds, first)
 
     @property
-    def begins(self) -> Onset | None:
+    def change_point(self) -> ChangePointRow | None:
         """By when what is unknown has begun; None where it more likely goes on with the motion, or is there all the time."""
         best = next((r for r in self.rivals if r.fitted.state is self.last.state), None)
         if self.verdict != "unknown" or best is None or best.evidence.begins is None or best.evidence.sudden < 0.5:
             return None
         data, found = self.last.state.predictor.measurement.data, best.evidence.begins
         action, step = str(data["action"].values[found.by]), int(data["step"].values[found.by])
-        return Onset(action, step, best.evidence.sudden)
+        return ChangePointRow(action=action, step=step, probability=best.evidence.sudden)
 
     @property
     def held_by(self) -> float:

@@ -14,7 +14,7 @@ from bcid.base.collective import Comm, on_root
 from bcid.base.options import IdentifyOptions
 from bcid.base.progress import Progress, Silent
 from bcid.base.run_folder import RunFolder, running
-from bcid.base.units import percent, unit_factor
+from bcid.base.units import percent
 from bcid.forms.driving import driven_by_points
 from bcid.forms.forward import check_geometry
 from bcid.forms.mesh import BodyMesh, level_mesh
@@ -26,11 +26,12 @@ from bcid.forms.model import Model, check_physics
 from bcid.inference import nuisance_text
 from bcid.inference.continuation import truncate_to_converged
 from bcid.inference.hypotheses import label
-from bcid.inference.stiffness import Stiffness
 from bcid.measurement import AXES, WRENCH, Measurement
 from bcid.measurement.compared import LeftOut, in_plane, pooled, thinned
 from bcid.predict.levels import pair
 from bcid.predict.store import CHECKPOINT, PredictionStore
+from bcid.results.common_rows import LeftOutRow, StiffnessRecord
+from bcid.results.run_documents import write_documents
 from bcid.scene import Scene
 from bcid.search.answer.association import MARK
 from bcid.search.answer.identification import Identification
@@ -148,19 +149,22 @@ def fingerprints(scene: Scene, measurement: Measurement) -> dict[str, Any]:
 
 def documents(measurement: Measurement, done: Refinement, mesh: BodyMesh) -> dict[str, Any]:
     """What a run folder holds of an identification, by file name: JSON objects, datasets and texts."""
-    length = unit_factor(measurement.units.length, "m")
     scene, found = done.scene, done.found
-    result = done.to_json(length) | {"length_unit": measurement.units.length, "remarks": list(measurement.remarks)}
-    left_out = LeftOut.of(scene, measurement.without(found.astray), found.prediction.positions)
-    result["left_out"] = left_out.to_json(length) if left_out else None
+    left_out = LeftOut.of(scene, measurement.without(found.outliers), found.prediction.positions)
+    record = replace(done.record(), remarks=measurement.remarks, left_out=left_out_row(left_out))
     tested = [f"{left_out}."] if left_out else []
     lines = [summary(scene, measurement, found, done.log), *tested, *inputs_in_words(scene, measurement, mesh)]
     return {
-        "identification.json": result,
+        "identification.json": record.converted(measurement.units.length),
         "prediction.nc": prediction_dataset(scene, measurement, found),
         "body.nc": body_dataset(scene, mesh, found),
         "summary.txt": "\n".join(lines) + "\n",
     }
+
+
+def left_out_row(found: LeftOut | None) -> LeftOutRow | None:
+    """As results hold it."""
+    return None if found is None else LeftOutRow(frames=found.frames, rms=found.rms, compared_rms=found.compared)
 
 
 def _write(
@@ -168,16 +172,17 @@ def _write(
 ) -> None:
     assert run is not None
     found = documents(measurement, done, mesh)
-    run.write_documents(found)
-    result = found["identification.json"]
+    write_documents(run, found)
+    result: Identification = found["identification.json"]
     stages = run.record["inputs"]["options"]["stages"] or {}
     run.record |= {"names": names, "ranks": ranks, "seed": stages.get("seed")}
     run.record |= {
-        "evaluations": result["evaluations"],
+        "evaluations": {str(level): count for level, count in result.evaluations.items()},
         "search_seconds": round(done.seconds, 3),
         "mesh": mesh.fingerprint(),
     }
-    run.finish({key: result[key] for key in ("anchored", "probability", "rms", "noise_rms", "certified")})
+    told = result.to_json()
+    run.finish({key: told[key] for key in ("anchored", "probability", "rms", "noise_rms", "certified")})
 
 
 def prediction_dataset(scene: Scene, measurement: Measurement, found: Identification) -> xr.Dataset:
@@ -240,10 +245,10 @@ def summary(scene: Scene, measurement: Measurement, found: Identification, round
     fiducials = rows - len(scene.surface)
     points = sum(len(members) for members in scene.members.values())
     pooling = f" (means of {points} points)" if points else ""
-    noise = f"the stated noise is {found.noise / unit:.3g} {length}" if found.noise else "no noise is stated"
+    noise = f"the stated noise is {found.noise_rms / unit:.3g} {length}" if found.noise_rms else "no noise is stated"
     mesh = "Nothing is known of the error of the mesh."
-    if found.discretisation is not None:
-        mesh = f"What may be left of the error of the mesh is {found.discretisation / unit:.2g} {length}."
+    if found.discretisation_rms is not None:
+        mesh = f"What may be left of the error of the mesh is {found.discretisation_rms / unit:.2g} {length}."
     lines = [
         *odd(measurement.remarks),
         *_warning(found),
@@ -260,14 +265,14 @@ def summary(scene: Scene, measurement: Measurement, found: Identification, round
         *_of_patches(scene, found),
     ]
     for other in found.alternatives[:3]:
-        misses = f"misses by {other.rms / unit:.3g} {length} where {names} misses by {other.best_rms / unit:.3g}"
+        misses = f"misses by {other.rms / unit:.3g} {length} where {names} misses by {other.reported_rms / unit:.3g}"
         where = f" (in {other.frames} of {frames} frames)" if other.frames < frames else ""
         text = f"{label(other.anchored, scene.patches)} {misses}{where}, probability {percent(other.probability)}"
         lines.append(f"  {text}{'; it could not be followed further' if other.failure else ''}")
     if found.patches and not found.alternatives:
         lines.append("  none was evaluated")
     lines += ["", "How it was found:", *(f"  {stage}" for stage in found.stages)]
-    counts = found.looked_at
+    counts = found.evaluated
     proof = (
         f"of all {2 ** len(scene.patches)} sets {counts['in full']} were followed to the end, "
         f"{counts['stopped']} until they had lost, {counts['failed']} failed, {counts['not']} were not followed"
@@ -313,13 +318,14 @@ def _of_surface(scene: Scene, measurement: Measurement) -> list[str]:
 
 def _besides(found: Identification) -> list[str]:
     """What was allowed for besides noise and mesh, and whether that is all."""
-    if found.missing is None:
+    if found.discrepancy_probability is None:
         return []
-    missing = f"Something is missing in the model besides, or it is wrong there: probability {percent(found.missing)}."
-    return [*nuisance_text.allowed(found.nuisances), missing]
+    p = percent(found.discrepancy_probability)
+    missing = f"Something is missing in the model besides, or it is wrong there: probability {p}."
+    return [*nuisance_text.allowed(found.input_uncertainties), missing]
 
 
-def stiffness_in_words(found: Stiffness | None) -> list[str]:
+def stiffness_in_words(found: StiffnessRecord | None) -> list[str]:
     """How stiff the body is, by known forces."""
     return [f"Stiffness by known forces: {found.text}."] if found else []
 
@@ -347,23 +353,23 @@ def odd(remarks: Iterable[str]) -> list[str]:
 
 def _warning(found: Identification) -> list[str]:
     """What must stand above the result: that the model does not explain the data, or that this cannot be told."""
-    return [*_astray(found), *_open(found), *_unexplained(found), *nuisance_text.warnings(found.nuisances)]
+    return [*_outliers(found), *_open(found), *_unexplained(found), *nuisance_text.warnings(found.input_uncertainties)]
 
 
-def _astray(found: Identification) -> list[str]:
+def _outliers(found: Identification) -> list[str]:
     """That some fiducials were left out."""
-    if not found.astray:
+    if not found.outliers:
         return []
-    kind = "surface mark(s)" if all(name.startswith(MARK) for name in found.astray) else "fiducial(s)"
+    kind = "surface mark(s)" if all(name.startswith(MARK) for name in found.outliers) else "fiducial(s)"
     return [
-        f"WARNING: {kind} {', '.join(found.astray)} do not go with the body, whatever set holds it and whatever smooth "
+        f"WARNING: {kind} {', '.join(found.outliers)} do not go with the body, whatever set holds it and whatever smooth "
         "force acts: swapped, or misplaced? They are left out."
     ]
 
 
 def _open(found: Identification) -> list[str]:
     """That a set which could not be followed to the end may be the one."""
-    rivals = found.unfollowed
+    rivals = [one for one in found.alternatives if one.anchored in found.not_converged]
     if not rivals:
         return []
     first, more = rivals[0], len(rivals) - 1
@@ -376,18 +382,18 @@ def _open(found: Identification) -> list[str]:
 
 
 def _unexplained(found: Identification) -> list[str]:
-    if found.noise is None:
+    if found.noise_rms is None:
         return [
             "WARNING: no noise is known: whether a set explains this measurement cannot be told; the best misses it by "
             f"{found.rms * 1e3:.3g} mm. State noise_sigma.",
         ]
-    if found.explains:
+    if found.adequate:
         return []
     which, best = ("no set explains", "the best") if found.patches else ("the model does not explain", "it")
     compared = "Probabilities compare the sets with each other only" if found.patches else ""
-    beside = ", with an unknown smooth force in place of what is missing" if found.missing else ""
+    beside = ", with an unknown smooth force in place of what is missing" if found.discrepancy_probability else ""
     return [
-        f"WARNING: {which} this measurement: {best} misses it by {found.rms / found.noise:.1f} times the noise.",
+        f"WARNING: {which} this measurement: {best} misses it by {found.rms / found.noise_rms:.1f} times the noise.",
         "The mesh is too coarse, a physical effect is missing (bcid explain), or units, frames, grasp or material are not what",
         f"the scene says. {compared}{beside}." if compared else "the scene says.",
     ]

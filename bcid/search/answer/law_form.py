@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from bcid.base.units import WIDE, uncertain
 from bcid.forms.model import Model
 from bcid.forms.scene_errors import SECOND_INVARIANT, law_form_term
+from bcid.results.proposal_record import CoefficientRow
 from bcid.search.fitting.fit import Fit
 
 Array = NDArray[np.float64]
@@ -67,11 +67,10 @@ class LawForm:
             "(standard deviations: law in its [uncertainty])."
         )
 
-    def to_json(self) -> dict[str, Any]:
+    def rows(self) -> dict[str, CoefficientRow]:
         """As results hold it."""
-        names = ("first_squared", "second_invariant")
-        times = (1.0, SECOND_INVARIANT)
+        names, times = ("first_squared", "second_invariant"), (1.0, SECOND_INVARIANT)
         return {
-            name: {"value": by * float(value), "stderr": by * float(error), "allowed": by * self.allowed}
+            name: CoefficientRow(value=by * float(value), stderr=by * float(error), allowed=by * self.allowed)
             for name, by, value, error in zip(names, times, self.values, self.stderr, strict=True)
         }

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +20,10 @@ from bcid.inference.hypotheses import Hypothesis, entropy
 from bcid.inference.information import information
 from bcid.inference.nuisance_text import amount
 from bcid.inference.priors import PRIORS
+from bcid.results.diagnosis_record import NextStep, SeparatingPull
+from bcid.results.words import pull_text
 from bcid.search.answer.explanation import Explanation
 from bcid.search.answer.scene_sensitivity import SceneInput, WeighedHypothesis
-from bcid.search.answer.separate import Pull
 from bcid.search.fitting.state import State
 from bcid.search.settings import SETTINGS
 
@@ -35,28 +35,6 @@ _COARSE: Array = np.linspace(-6.0, 6.0, 49, dtype=float)
 _FINE: Array = np.linspace(-5.0, 5.0, 41, dtype=float)
 # Places on the surface that are compared, and the most markers to add.
 _PLACES, _MARKERS = 200, 3
-
-
-@dataclass(frozen=True)
-class NextStep:
-    """Something to measure.
-
-    Attributes:
-        kind: "number", "pull", "force", "markers" or "repeat".
-        text: in words.
-        bits: that it is expected to tell about anchors and effects.
-        positions: of markers to add, m.
-    """
-
-    kind: str
-    text: str
-    bits: float
-    positions: tuple[tuple[float, ...], ...] = ()
-
-    def to_json(self, unit: float) -> dict[str, Any]:
-        """A row of `next_steps`; lengths in units of `unit` (m)."""
-        places = [[value / unit for value in place] for place in self.positions]
-        return {"kind": self.kind, "text": self.text, "bits": self.bits, "positions": places}
 
 
 @dataclass(frozen=True)
@@ -85,7 +63,9 @@ class BodyPrediction:
     wrench: Array
 
 
-def next_steps(found: Explanation, fitted: Sequence[WeighedHypothesis], pulls: Sequence[Pull] = ()) -> NextSteps | None:
+def next_steps(
+    found: Explanation, fitted: Sequence[WeighedHypothesis], pulls: Sequence[SeparatingPull] = ()
+) -> NextSteps | None:
     """The ranked list; None where the answer is certain. Collective.
 
     Args:
@@ -100,10 +80,12 @@ def next_steps(found: Explanation, fitted: Sequence[WeighedHypothesis], pulls: S
     if len(kept) > 1:
         inputs = dict.fromkeys(one for each in kept for one in each.inputs)
         steps += [_number(one, kept, p) for one in inputs]
-        steps.append(NextStep("repeat", "make the same pulls once more", repeated(kept, p)))
+        steps.append(NextStep(kind="repeat", text="make the same pulls once more", expected_bits=repeated(kept, p)))
         steps += predicted(found, kept, p, pulls)
-    useful = [replace(s, bits=min(s.bits, left)) for s in steps if s.bits >= SETTINGS.helping]
-    return NextSteps(left, tuple(sorted(useful, key=lambda step: -step.bits)))
+    useful = [
+        replace(s, expected_bits=min(s.expected_bits, left)) for s in steps if s.expected_bits >= SETTINGS.helping
+    ]
+    return NextSteps(left, tuple(sorted(useful, key=lambda step: -step.expected_bits)))
 
 
 def leading(fitted: Sequence[WeighedHypothesis]) -> tuple[list[WeighedHypothesis], Array]:
@@ -128,11 +110,8 @@ def leading(fitted: Sequence[WeighedHypothesis]) -> tuple[list[WeighedHypothesis
 
 
 def _number(one: SceneInput, fitted: Sequence[WeighedHypothesis], p: Array) -> NextStep:
-    return NextStep(
-        "number",
-        f"measure: {one.label} (now known to {amount(one.name, one.stddev)})",
-        number_information(one, fitted, p),
-    )
+    text = f"measure: {one.label} (now known to {amount(one.name, one.stddev)})"
+    return NextStep(kind="number", text=text, expected_bits=number_information(one, fitted, p))
 
 
 def number_information(one: SceneInput, fitted: Sequence[WeighedHypothesis], p: Array) -> float:
@@ -240,7 +219,7 @@ def uncovered(fitted: Sequence[WeighedHypothesis], p: Array) -> float:
 
 
 def predicted(
-    found: Explanation, fitted: Sequence[WeighedHypothesis], p: Array, pulls: Sequence[Pull]
+    found: Explanation, fitted: Sequence[WeighedHypothesis], p: Array, pulls: Sequence[SeparatingPull]
 ) -> list[NextStep]:
     """A pull, a force sensor and further markers; collective."""
     part = uncovered(fitted, p)
@@ -250,12 +229,12 @@ def predicted(
     if state.predictor.data.forces is None and any(action.grasp for action in state.predictor.actions):
         wrenches = [field.wrench[:, :3] for field in fields]
         bits = force_information(np.array(wrenches), p, part, _stiffness(fitted))
-        steps.append(NextStep("force", "measure the gripper's force", bits))
+        steps.append(NextStep(kind="force", text="measure the gripper's force", expected_bits=bits))
     return steps + _markers(fitted, p, part, fields)
 
 
 def _pull(
-    found: Explanation, fitted: Sequence[WeighedHypothesis], p: Array, part: float, pulls: Sequence[Pull]
+    found: Explanation, fitted: Sequence[WeighedHypothesis], p: Array, part: float, pulls: Sequence[SeparatingPull]
 ) -> list[NextStep]:
     """The first of some pulls that separate the last model from the next best: others count as that which they resemble less."""
     last = next((r.hypothesis for r in found.rivals if r.fitted.state is found.last.state), None)
@@ -266,7 +245,7 @@ def _pull(
     both = np.array([p[own[0]], p[others].max()])
     apart = np.array([[0.0], [part * pulls[0].sigmas]])
     bits = float(both.sum()) * information(apart, both / both.sum(), _SAMPLES, _SEED).bits
-    return [NextStep("pull", f"pull {pulls[0].text.split(' (')[0]}", bits)]
+    return [NextStep(kind="pull", text=f"pull {pull_text(pulls[0])}", expected_bits=bits)]
 
 
 def _field(one: WeighedHypothesis) -> BodyPrediction:
@@ -325,10 +304,16 @@ def _markers(
     chosen, bits = best_places(np.moveaxis(shown, 2, 1).reshape(len(fields), len(nodes), -1), p)
     places = [tuple(float(v) for v in points[nodes[k]]) for k in chosen]
     texts = [f"({' '.join(f'{round(1e3 * v)}' for v in place)}) mm" for place in places]
-    steps = [NextStep("markers", f"a marker at {texts[0]}", bits[0], (places[0],))]
-    if len(places) == _MARKERS:
-        steps.append(NextStep("markers", f"markers at {', '.join(texts)}", bits[-1], tuple(places)))
-    return steps
+    kept = [1, _MARKERS] if len(places) == _MARKERS else [1]
+    return [
+        NextStep(
+            kind="markers",
+            text=f"{'a marker' if n == 1 else 'markers'} at {', '.join(texts[:n])}",
+            expected_bits=bits[n - 1],
+            positions=tuple(places[:n]),
+        )
+        for n in kept
+    ]
 
 
 def best_places(shown: Array, p: Array) -> tuple[list[int], list[float]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,6 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from bcid.base.tails import normal_tail
-from bcid.base.units import unit_factor
 from bcid.forms.course import course_of
 from bcid.forms.gripper_force import ROWS
 from bcid.forms.model import Model, Term
@@ -22,22 +22,33 @@ from bcid.inference.thresholds import THRESHOLDS
 from bcid.measurement import AXES, WRENCH
 from bcid.measurement.compared import LeftOut
 from bcid.predict.predictor import Predictor
+from bcid.results.common_rows import ParameterRow
+from bcid.results.diagnosis_record import (
+    DiagnosisRecord,
+    DiscrepancyRecord,
+    ForceRow,
+    ModelRow,
+    PosteriorRow,
+    RankedEffect,
+    SelectedEffect,
+    TotalForce,
+)
 from bcid.search.answer import answer_text, diagnosis_text
 from bcid.search.answer.adequacy import groups, judge
 from bcid.search.answer.diagnosis import Diagnosis
-from bcid.search.answer.explanation import Explanation, ModelStep, Onset, explains
-from bcid.search.answer.identify_run import body_parts, inputs_in_words, odd, stiffness_in_words
+from bcid.search.answer.evidence_split import hypothesis_row
+from bcid.search.answer.explanation import Explanation, ModelStep, explains
+from bcid.search.answer.identify_run import body_parts, inputs_in_words, left_out_row, odd, stiffness_in_words
 from bcid.search.answer.source import Source, stored_effect
 from bcid.search.answer.where import MissingForce, Place
 from bcid.search.fitting import courses, curvature
 from bcid.search.fitting.fit import Fit
 from bcid.search.fitting.fitted_hypothesis import FittedHypothesis
-from bcid.search.fitting.ranking import Ranking
 from bcid.search.fitting.state import detailed
 
 MODEL_FORMAT = "bcid-model/1"
 Array = NDArray[np.float64]
-# So many of the likeliest hypotheses are told.
+# So many of the likeliest hypotheses are reported.
 _HYPOTHESES = 12
 
 
@@ -53,28 +64,27 @@ def collect(predictor: Predictor, done: Diagnosis) -> dict[str, Any]:
 
 
 def documents(source: Source, done: Diagnosis, content: dict[str, Any]) -> dict[str, Any]:
-    """What a run folder holds of a diagnosis, by file name: JSON objects, datasets and texts.
+    """What a run folder holds of a diagnosis, by file name: records, the model as JSON, datasets and texts.
 
     `content` is what `collect` gave.
     """
-    name = source.measurement.units.length
-    unit = unit_factor(name, "m")
+    unit, last = source.measurement.units.length, done.rungs[-1].state
     shares = {label: float(np.sqrt(np.nanmean(part**2))) for label, part in content["parts"].items()}
     remarks = source.measurement.remarks
-    diagnosis = diagnosis_json(done, unit) | {"length_unit": name, "remarks": list(remarks)}
-    diagnosis["contributions"] = {label: share / unit for label, share in shares.items()}
-    found: dict[str, Any] = {"diagnosis.json": diagnosis, "model.json": model_json(done.rungs[-1], source)}
-    if done.explanation is not None:
-        found["identification.json"] = done.explanation.identification.to_json(unit) | {"length_unit": name}
-    found["residuals.nc"] = residual_dataset(done, content["parts"])
-    found["body.nc"] = body_parts(
-        source.scene, content["mesh"], content["displacement"], content["energy"], diagnosis["anchored"]
-    )
-    if done.where is not None:
-        found["where.json"] = where_json(done.where, unit) | {"length_unit": name}
-    last = done.rungs[-1].state
     left_out = LeftOut.of(last.predictor.whole, last.predictor.measurement, last.predicted)
-    diagnosis["left_out"] = left_out.to_json(unit) if left_out else None
+    diagnosis = replace(diagnosis_record(done), remarks=remarks, contributions=shares, left_out=left_out_row(left_out))
+    found: dict[str, Any] = {
+        "diagnosis.json": diagnosis.converted(unit),
+        "model.json": model_json(done.rungs[-1], source),
+        "residuals.nc": residual_dataset(done, content["parts"]),
+    }
+    if done.explanation is not None:
+        found["identification.json"] = done.explanation.identification.converted(unit)
+    if done.where is not None:
+        found["discrepancy.json"] = discrepancy_record(done.where).converted(unit)
+    found["body.nc"] = body_parts(
+        source.scene, content["mesh"], content["displacement"], content["energy"], diagnosis.anchored
+    )
     tested = [f"{left_out}."] if left_out else []
     inputs = inputs_in_words(source.scene, source.measurement, content["mesh"])
     lines = [*summary(done, shares, remarks), "", *tested, *inputs]
@@ -99,111 +109,93 @@ def finite(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else float(value)
 
 
-def diagnosis_json(done: Diagnosis, unit: float) -> dict[str, Any]:
-    """The content of `diagnosis.json`; lengths in units of `unit` (m)."""
+def diagnosis_record(done: Diagnosis) -> DiagnosisRecord:
+    """The content of `diagnosis.json`, but for what other files tell; lengths in m."""
     last = done.rungs[-1]
-    state, stiffness = last.state, last.fitted.stiffness
+    state, stiffness, order = last.state, last.fitted.stiffness, list(last.state.predictor.whole.patches)
     asked = next((rung for rung in done.rungs if rung.ranking is not None), None)
-    order = list(state.predictor.whole.patches)
-    found = done.explanation
-    if found is not None:
-        verdict = found.verdict
-    else:
-        beyond = state.model.added(Model.of(state.predictor.whole))
-        added = "+".join(dict.fromkeys(d.effect.name for d in beyond if _seen(last.fitted, d)))
-        adequate = last.adequacy.adequate
-        named = adequate or (bool(added) and explains(done.rungs[0].fitted, last.fitted))
-        verdict = (added or "none") if named else "unknown"
-        if asked is not None and asked.rivals and not adequate:
-            first = asked.rivals[0]
-            named = judge(first.fitted.state).adequate or explains(last.fitted, first.fitted)
-            verdict = first.effect if named else "unknown"
-    return (beliefs(found, order) if found is not None else {}) | {
-        "adequate": last.adequacy.told,
-        "p_value": last.adequacy.p_value,
-        "false_alarm_rate": THRESHOLDS.false_alarms,
-        "rms": state.rms / unit,
-        "noise_rms": state.noise / unit,
-        "noise_stated": state.predictor.data.stated,
-        "rough_rms": state.rough / unit,
-        "nuisances": nuisance_text.to_json(state.told),
-        "curvature": {action: missed / unit for action, missed in curvature.allowed(state).items()},
-        "stiffness": stiffness.to_json() if stiffness else None,
-        "law": last.fitted.law,
-        "discretisation_rms": state.errors.mesh_rms / unit if state.errors.mesh.known else None,
-        "held_out_rms": None if last.held_out is None else last.held_out / unit,
-        "anchored": sorted(state.anchors, key=order.index),
-        "verdict": verdict,
-        "model": last.name,
-        "adopted": [
-            {"effect": d.effect.name, "place": d.place, "parameters": _parameters(d, *_own(last.fitted, d))}
-            for d in state.model.terms
-        ],
-        "courses": courses.to_json(last.fitted),
-        "warnings": list(last.fitted.warnings),
-        "skipped": list(state.predictor.skipped),
-        "tests": [
-            {"name": f.name, "p_value": f.p_value, "decides": f.decides, "text": f.text} for f in last.adequacy.findings
-        ],
-        "residual_by": groups(state),
-        "first_ranked": [row.effect for row in diagnosis_text.ordered(asked.ranking, asked.rivals)]
-        if asked and asked.ranking
-        else [],
-        "ranking": _ranking(asked.ranking, asked.rivals, unit, order) if asked and asked.ranking else [],
-        "not_applicable": asked.ranking.excluded if asked and asked.ranking else {},
-        "cannot_be_told_from": list(found.ambiguous) if found else [],
-        "separating_pulls": [
-            {"grasp": p.grasp, "direction": p.direction, "distance": p.distance / unit, "sigmas": p.sigmas}
-            for p in done.pulls
-        ],
-        "scene_sensitivity": [row.to_json(order) for row in done.sensitivity],
-        "open_bits": None if done.next_steps is None else done.next_steps.open,
-        "next_steps": [step.to_json(unit) for step in done.next_steps.steps] if done.next_steps else [],
-        "ladder": [
-            {
-                "model": rung.name,
-                "anchored": sorted(rung.state.anchors, key=order.index),
-                "rms": rung.state.rms / unit,
-                "held_out_rms": None if rung.held_out is None else rung.held_out / unit,
-                "adequate": rung.adequacy.told,
-                "p_value": rung.adequacy.p_value,
-            }
-            for rung in done.rungs
-        ],
-    }
+    found = DiagnosisRecord(
+        verdict=done.explanation.verdict if done.explanation else _verdict(done, asked),
+        anchored=_anchored(state.anchors, order),
+        model=last.name,
+        adequate=last.adequacy.told,
+        p_value=last.adequacy.p_value,
+        false_alarm_rate=THRESHOLDS.false_alarms,
+        rms=state.rms,
+        held_out_rms=last.held_out,
+        noise_rms=state.noise,
+        noise_stated=state.predictor.data.stated,
+        noise_like_rms=state.rough,
+        discretisation_rms=state.errors.mesh_rms if state.errors.mesh.known else None,
+        input_uncertainties=nuisance_text.rows(state.told),
+        curvature=curvature.allowed(state),
+        stiffness=stiffness.record() if stiffness else None,
+        law=last.fitted.law,
+        selected_effects=tuple(_selected(last.fitted, term) for term in state.model.terms),
+        time_histories=courses.time_histories(last.fitted),
+        model_sequence=tuple(_model_row(rung, order) for rung in done.rungs),
+        tests=last.adequacy.findings,
+        residual_by=groups(state),
+        ranking=_ranking(asked, order) if asked else (),
+        not_applicable=asked.ranking.excluded if asked and asked.ranking else {},
+        separating_pulls=done.pulls,
+        scene_sensitivity=tuple(row.row(order) for row in done.sensitivity),
+        entropy=done.next_steps.open if done.next_steps else None,
+        next_steps=done.next_steps.steps if done.next_steps else (),
+        warnings=tuple(last.fitted.warnings),
+        skipped=tuple(state.predictor.skipped),
+    )
+    return with_posterior(found, done.explanation, order) if done.explanation else found
 
 
-def beliefs(found: Explanation, order: list[str]) -> dict[str, Any]:
-    """How probable verdict, anchors and the likeliest hypotheses are."""
+def with_posterior(record: DiagnosisRecord, found: Explanation, order: Sequence[str]) -> DiagnosisRecord:
+    """The record with how probable verdict, anchors and the likeliest hypotheses are."""
     odds = found.odds
-    hypotheses = [
-        {
-            "anchored": sorted(h.anchors, key=order.index),
-            "effects": h.effect.split("+") if h.effect else [],
-            "unknown": h.unknown,
-            "probability": p,
-        }
-        for h, p in list(odds.probabilities.items())[:_HYPOTHESES]
-    ]
-    return {
-        "verdict_probability": found.probability,
-        "anchors_probability": found.held_by,
-        "anchors_certain": found.held_by >= THRESHOLDS.credible,
-        "probabilities": {
-            "effects": odds.verdicts,
-            "patches": patches(odds.probabilities, order),
-            "hypotheses": hypotheses,
-        },
-        "neglected": found.neglected,
-        "evidence_split": [one.to_json(order) for one in found.splits],
-        "begins": _onset(found.begins),
-        "noise_doubt": diagnosis_text.noise_doubt(found),
-    }
+    likely = list(odds.probabilities.items())[:_HYPOTHESES]
+    hypotheses = tuple(hypothesis_row(h, p, order) for h, p in likely)
+    return replace(
+        record,
+        verdict_probability=found.probability,
+        anchors_probability=found.held_by,
+        anchors_certain=found.held_by >= THRESHOLDS.credible,
+        ambiguous_with=found.ambiguous,
+        posterior=PosteriorRow(
+            effects=odds.verdicts, patches=patches(odds.probabilities, order), hypotheses=hypotheses
+        ),
+        unfitted_probability=found.neglected,
+        evidence_split=tuple(one.row(order) for one in found.splits),
+        change_point=found.change_point,
+        noise_warning=diagnosis_text.noise_doubt(found),
+    )
 
 
-def _onset(found: Onset | None) -> dict[str, Any] | None:
-    """By when something unknown has begun."""
-    return None if found is None else {"action": found.action, "step": found.step, "probability": found.probability}
+def _verdict(done: Diagnosis, asked: ModelStep | None) -> str:
+    """The verdict where anchors and effects were not searched."""
+    last = done.rungs[-1]
+    adequate = last.adequacy.adequate
+    if asked is not None and asked.rivals and not adequate:
+        first = asked.rivals[0]
+        named = judge(first.fitted.state).adequate or explains(last.fitted, first.fitted)
+        return first.effect if named else "unknown"
+    beyond = last.state.model.added(Model.of(last.state.predictor.whole))
+    added = "+".join(dict.fromkeys(d.effect.name for d in beyond if _seen(last.fitted, d)))
+    named = adequate or (bool(added) and explains(done.rungs[0].fitted, last.fitted))
+    return (added or "none") if named else "unknown"
+
+
+def _anchored(anchors: frozenset[str], order: Sequence[str]) -> tuple[str, ...]:
+    return tuple(name for name in order if name in anchors)
+
+
+def _model_row(rung: ModelStep, order: Sequence[str]) -> ModelRow:
+    return ModelRow(
+        model=rung.name,
+        anchored=_anchored(rung.state.anchors, order),
+        rms=rung.state.rms,
+        held_out_rms=rung.held_out,
+        adequate=rung.adequacy.told,
+        p_value=rung.adequacy.p_value,
+    )
 
 
 def _seen(fitted: Fit, one: Term) -> bool:
@@ -228,67 +220,69 @@ def _own(fitted: Fit, one: Term) -> tuple[dict[str, float], dict[str, float]]:
     return diagnosis_text.own(fitted, one, fitted.stderr), diagnosis_text.own(fitted, one, fitted.limits)
 
 
+def _selected(fitted: Fit, one: Term) -> SelectedEffect:
+    return SelectedEffect(effect=one.effect.name, place=one.place, parameters=_parameters(one, *_own(fitted, one)))
+
+
 def _parameters(
     one: Term, errors: Mapping[str, float], limits: Mapping[str, float], identifiable: bool = True
-) -> dict[str, Any]:
+) -> dict[str, ParameterRow]:
     return {
-        p.name: {
-            "value": finite(one.values[p.name]) if identifiable else None,
-            "stderr": finite(errors.get(p.name)),
-            "limit": finite(limits.get(p.name)),
-            "unit": p.unit,
-        }
+        p.name: ParameterRow(
+            value=finite(one.values[p.name]) if identifiable else None,
+            stderr=finite(errors.get(p.name)),
+            limit=finite(limits.get(p.name)),
+            unit=p.unit,
+        )
         for p in one.effect.parameters
     }
 
 
-def _ranking(
-    ranking: Ranking, rivals: Sequence[FittedHypothesis], unit: float, order: list[str]
-) -> list[dict[str, Any]]:
+def _ranking(asked: ModelStep, order: Sequence[str]) -> tuple[RankedEffect, ...]:
+    assert asked.ranking is not None
     best: dict[str, FittedHypothesis] = {}
-    for rival in rivals:
+    for rival in asked.rivals:
         best.setdefault(rival.effect, rival)
     rows = []
-    for row in diagnosis_text.ordered(ranking, rivals):
+    for row in diagnosis_text.ordered(asked.ranking, asked.rivals):
         own = best.get(row.effect)
         one = own.term if own else row.term
-        told = _own(own.fitted, one) if own else (row.stderr, {})
+        errors = _own(own.fitted, one) if own else (row.stderr, {})
         rows.append(
-            {
-                "effect": row.effect,
-                "place": one.place,
-                "anchored": sorted(own.anchors, key=order.index) if own else None,
-                "parameters": _parameters(one, *told, row.identifiable or own is not None),
-                "score": row.score,
-                "p_value": row.p_value,
-                "expected_rms": row.expected_rms / unit,
-                "fitted_rms": own.fitted.state.rms / unit if own else None,
-                "held_out_rms": finite(own.held_out / unit) if own and own.held_out is not None else None,
-                "power": row.power,
-                "confounded_with": list(row.confounded_with),
-                "identifiable": row.identifiable,
-                "tried": row.tried,
-            }
+            RankedEffect(
+                effect=row.effect,
+                place=one.place,
+                anchored=_anchored(own.anchors, order) if own else None,
+                parameters=_parameters(one, *errors, row.identifiable or own is not None),
+                score=float(row.score),
+                p_value=row.p_value,
+                expected_rms=row.expected_rms,
+                fitted_rms=own.fitted.state.rms if own else None,
+                held_out_rms=finite(own.held_out) if own else None,
+                power=row.power,
+                confounded_with=tuple(row.confounded_with),
+                identifiable=row.identifiable,
+                tried=row.tried,
+            )
         )
-    return rows
+    return tuple(rows)
 
 
-def where_json(found: MissingForce, unit: float) -> dict[str, Any]:
-    """The missing force: places in units of length, forces in N."""
+def discrepancy_record(found: MissingForce) -> DiscrepancyRecord:
+    """The content of `discrepancy.json`; lengths in m."""
 
-    def row(place: Place) -> dict[str, Any]:
-        return {"position": list(place.position / unit), "force": list(map(float, place.force)), "stderr": place.stderr}
+    def row(place: Place) -> ForceRow:
+        position, force = (tuple(map(float, values)) for values in (place.position, place.force))
+        return ForceRow(position=position, force=force, stderr=float(place.stderr))
 
-    return {
-        "explained": found.explained,
-        "rms": found.rms / unit,
-        "steady": [row(place) for place in found.steady.regions],
-        "growing": {name: [row(place) for place in force.regions] for name, force in found.growing.items()},
-        "together": {
-            "steady": row(found.steady.together),
-            "growing": {name: row(force.together) for name, force in found.growing.items()},
-        },
-    }
+    together = {name: row(force.together) for name, force in found.growing.items()}
+    return DiscrepancyRecord(
+        explained_fraction=found.explained,
+        rms=found.rms,
+        steady=tuple(map(row, found.steady.regions)),
+        growing={name: tuple(map(row, force.regions)) for name, force in found.growing.items()},
+        together=TotalForce(steady=row(found.steady.together), growing=together),
+    )
 
 
 def residual_dataset(done: Diagnosis, parts: dict[str, Any]) -> xr.Dataset:
@@ -360,13 +354,14 @@ def summary(done: Diagnosis, shares: Mapping[str, float], remarks: Sequence[str]
         lines += [f"What each effect adds to the positions (RMS): {parts}.", ""]
     for rung in done.rungs:
         lines += [*diagnosis_text.verdict(rung.state, rung.adequacy, unit, name), ""]
-        told = stiffness_in_words(rung.fitted.stiffness)
+        stiffness = rung.fitted.stiffness
+        told = stiffness_in_words(stiffness.record() if stiffness else None)
         lines += [*told, ""] if told else []
         constants = diagnosis_text.law(rung.fitted)
         lines += [*constants, ""] if constants else []
         if rung.fitted.coordinates:
             lines += [f"  {diagnosis_text.term(d, *_own(rung.fitted, d))}" for d in rung.state.model.terms]
-            lines += [f"  {diagnosis_text.in_time(row)}" for row in courses.to_json(rung.fitted)]
+            lines += [f"  {diagnosis_text.in_time(row)}" for row in courses.time_histories(rung.fitted)]
             lines += [f"  Note: {text}" for text in rung.fitted.warnings] + [""]
         if rung.ranking is not None:
             lines += [

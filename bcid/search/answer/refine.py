@@ -7,7 +7,6 @@ import re
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 from bcid.base.collective import Comm
 from bcid.base.errors import InputError
@@ -55,13 +54,10 @@ class Refinement:
     evaluations: dict[int, float]
     seconds: float
 
-    def to_json(self, length: float = 1e-3) -> dict[str, Any]:
-        """The content of `identification.json`; lengths are given in units of `length` (m)."""
-        return self.found.to_json(length) | {
-            "evaluations": {str(level): round(count, 3) for level, count in self.evaluations.items()},
-            "refined": {name: list(pair) for name, pair in self.refined.items()},
-            "rounds": list(self.log),
-        }
+    def record(self) -> Identification:
+        """The identification, with what refining did."""
+        evaluations = {level: round(count, 3) for level, count in self.evaluations.items()}
+        return replace(self.found, evaluations=evaluations, refined=dict(self.refined), rounds=self.log)
 
 
 def check_rounds(scene: Scene, rounds: int) -> None:
@@ -267,11 +263,11 @@ class _Rounds:
 
     def explained(self) -> bool:
         """Whether noise and mesh account for the residual; when no noise is stated nothing is known against it."""
-        noise, rms = self.found.noise, self.found.rms
+        noise, rms = self.found.noise_rms, self.found.rms
         if noise is None:
             return True
         most = math.sqrt(1 + THRESHOLDS.detection * math.sqrt(2 / self.values))
-        return rms <= most * math.hypot(noise, self.found.discretisation or 0.0)
+        return rms <= most * math.hypot(noise, self.found.discretisation_rms or 0.0)
 
     def split(self, depths: Mapping[str, int]) -> Cuts:
         """All cuts so far and those that halve each patch as many times, as far as elements and number of patches allow."""

@@ -10,7 +10,6 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +23,7 @@ from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
 from bcid.inference.nuisance_text import amount
 from bcid.inference.priors import PRIORS
 from bcid.inference.thresholds import THRESHOLDS
+from bcid.results.diagnosis_record import SensitivityRow
 from bcid.search.answer.explanation import Explanation, explains, probability_of, verdict_of
 from bcid.search.fitting.fitted_hypothesis import FittedHypothesis
 from bcid.search.fitting.loosened import slackens
@@ -102,20 +102,20 @@ class AnswerAt:
         sign = "+" if self.offset > 0 else "−"
         return sign + amount(self.input.name, abs(self.offset) * self.input.stddev)
 
-    def to_json(self, order: Sequence[str]) -> dict[str, Any]:
-        """A row of `scene_sensitivity`."""
-        return {
-            "input": self.input.name,
-            "label": self.input.label,
-            "stddev": self.input.stddev,
-            "offset": self.offset,
-            "off": self.shifted,
-            "verdict": self.answer.verdict,
-            "verdict_probability": self.answer.probability,
-            "anchored": sorted(self.answer.anchors, key=list(order).index),
-            "anchors_probability": self.answer.held_by,
-            "depends": self.depends,
-        }
+    def row(self, order: Sequence[str]) -> SensitivityRow:
+        """As results hold it; `order` has the patches of the scene."""
+        return SensitivityRow(
+            input=self.input.name,
+            label=self.input.label,
+            stddev=self.input.stddev,
+            offset=self.offset,
+            shift=self.shifted,
+            verdict=self.answer.verdict,
+            verdict_probability=self.answer.probability,
+            anchored=tuple(name for name in order if name in self.answer.anchors),
+            anchors_probability=self.answer.held_by,
+            depends=self.depends,
+        )
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bcid.forms.forward import Forward
 from bcid.measurement import Action
+from bcid.results.diagnosis_record import SeparatingPull
 from bcid.search.fitting.state import State
 
 Array = NDArray[np.float64]
@@ -17,25 +17,7 @@ _DIRECTIONS = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1,
 _STEPS = 4
 
 
-@dataclass(frozen=True)
-class Pull:
-    """A pull that separates two explanations.
-
-    Attributes:
-        grasp, direction: of the pull.
-        distance: of the gripper, m.
-        sigmas: distance of the two predictions in units of noise, over all fiducials and steps.
-        text: in words.
-    """
-
-    grasp: str
-    direction: str
-    distance: float
-    sigmas: float
-    text: str
-
-
-def separating_pulls(one: State, other: State, distance: float | None = None) -> list[Pull]:
+def separating_pulls(one: State, other: State, distance: float | None = None) -> list[SeparatingPull]:
     """Pulls of all grasps along the axes, the most telling first; collective.
 
     Args:
@@ -54,8 +36,7 @@ def separating_pulls(one: State, other: State, distance: float | None = None) ->
         if a is None or b is None:
             continue
         sigmas = float(np.sqrt(np.sum((a - b) ** 2)) / one.noise)
-        text = f"grasp {grasp} along {name} by {distance * 1e3:.3g} mm ({sigmas:.0f} sigma apart)"
-        found.append(Pull(grasp, name, distance, sigmas, text))
+        found.append(SeparatingPull(grasp=grasp, direction=name, distance=distance, sigmas=sigmas))
     return sorted(found, key=lambda pull: -pull.sigmas)
 
 

@@ -17,6 +17,8 @@ from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import check_geometry
 from bcid.forms.model import Model, Term
 from bcid.measurement import Measurement
+from bcid.results.identification_record import IdentificationRecord
+from bcid.results.run_documents import read_record
 from bcid.scene import Scene
 from bcid.search.answer.identify_run import fingerprints, read_inputs
 
@@ -99,7 +101,7 @@ def from_run(folder: Path, files: Sequence[Path], comm: Comm) -> Source:
         if present != run.record["inputs"].get(what):
             raise InputError(f"{folder}: the {what} {names[what]} has changed since; repeat the run")
     if stored is None:
-        anchored = on_root(comm, lambda: run.read_json("identification.json"))["anchored"]
+        anchored = on_root(comm, lambda: read_record(run, IdentificationRecord)).anchored
         return replace(source, anchors=frozenset(str(name) for name in anchored))
     return replace(source, **_stored_model(source, stored, folder))
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from bcid.base.units import UNTOLD
 from bcid.forms.course import Course, course_of, in_time
 from bcid.forms.model import Term
 from bcid.measurement import Measurement
+from bcid.results.diagnosis_record import TimeHistory
 from bcid.search.fitting.fit import Fit
 from bcid.search.fitting.state import State
 from bcid.search.fitting.variants import Variant, amounts
@@ -88,34 +88,34 @@ def variant_in_time(state: State, variant: Variant, times: tuple[float, ...], st
     return Variant(moving, tuple(amounts(moving, names)), columns)
 
 
-def to_json(fitted: Fit) -> list[dict[str, Any]]:
+def time_histories(fitted: Fit) -> tuple[TimeHistory, ...]:
     """Each amount in time of the effects of a model: values at the knots, and how probable such are of a constant one.
 
-    `stderr_apart` are standard errors of what each value is from the mean of all, which all may miss alike. They, `stderr` and
+    `stderr_from_mean` are standard errors of what each value is from the mean of all, which all may miss alike. They, `stderr` and
     `p_constant` are null where the amount was not fitted, or nothing of it is told.
     """
-    return [row for term in fitted.state.model.terms for row in _rows(fitted, term, course_of(term.effect))]
+    return tuple(row for term in fitted.state.model.terms for row in _rows(fitted, term, course_of(term.effect)))
 
 
-def _rows(fitted: Fit, term: Term, course: Course | None) -> list[dict[str, Any]]:
+def _rows(fitted: Fit, term: Term, course: Course | None) -> list[TimeHistory]:
     errors, found = fitted.stderr, []
     for p in course.effect.amounts if course else ():
         assert course is not None
         names = course.names(p.name)
         told = [errors.get(term.full(name), math.inf) for name in names]
         found.append(
-            {
-                "effect": course.effect.name,
-                "place": term.place,
-                "amount": p.name,
-                "unit": p.unit,
-                "stepwise": course.stepwise,
-                "times": list(course.times),
-                "values": [term.values[name] for name in names],
-                "stderr": [error if error < UNTOLD else None for error in told],
-                "stderr_apart": _apart(fitted, term, names),
-                "p_constant": _p_value(fitted, term, names, np.diff(np.eye(len(names)), axis=0), 0.0),
-            }
+            TimeHistory(
+                effect=course.effect.name,
+                place=term.place,
+                amount=p.name,
+                unit=p.unit,
+                stepwise=course.stepwise,
+                times=tuple(map(float, course.times)),
+                values=tuple(term.values[name] for name in names),
+                stderr=tuple(error if error < UNTOLD else None for error in told),
+                stderr_from_mean=_apart(fitted, term, names),
+                p_constant=_p_value(fitted, term, names, np.diff(np.eye(len(names)), axis=0), 0.0),
+            )
         )
     return found
 
@@ -145,11 +145,11 @@ def _p_value(fitted: Fit, term: Term, names: Sequence[str], contrasts: Array, no
     return chi2_tail(float(apart @ np.linalg.lstsq(covariance, apart)[0]), len(contrasts))
 
 
-def _apart(fitted: Fit, term: Term, names: Sequence[str]) -> list[float | None]:
+def _apart(fitted: Fit, term: Term, names: Sequence[str]) -> tuple[float | None, ...]:
     count = len(names)
     covariance = _covariance(fitted, term, names, np.eye(count) - 1 / count)
     errors = np.full(count, math.inf) if covariance is None else np.sqrt(np.diag(covariance))
-    return [float(error) if error < UNTOLD else None for error in errors]
+    return tuple(float(error) if error < UNTOLD else None for error in errors)
 
 
 def _covariance(fitted: Fit, term: Term, names: Sequence[str], contrasts: Array) -> Array | None:

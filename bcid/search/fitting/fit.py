@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +22,7 @@ from bcid.inference.stiffness import Stiffness, StiffnessScale
 from bcid.inference.thresholds import THRESHOLDS
 from bcid.predict.kept_predictions import MeasurementPrediction
 from bcid.predict.predictor import Predictor
+from bcid.results.common_rows import ConstantRow
 from bcid.search.fitting.state import State
 
 Array = NDArray[np.float64]
@@ -151,11 +151,10 @@ class Fit:
         return {c.name: numbers[c.name] for c in self.coordinates}
 
     @property
-    def law(self) -> dict[str, dict[str, Any]]:
-        """Constants of the law that were fitted, by name: value, standard error and unit, and the 95 % interval.
+    def law(self) -> dict[str, ConstantRow]:
+        """Constants of the law that were fitted, by name, as they are reported (`bcid.inference.stiffness`).
 
-        The interval of a stiffness is that of its logarithm. What the data do not determine is None. Stiffnesses are as they are
-        reported (`bcid.inference.stiffness`).
+        The 95 % interval of a stiffness is that of its logarithm.
         """
         scale = StiffnessScale.of(self.state.predictor.whole)
         known, errors, values = {p.name: p for p in self.state.model.law.parameters}, self.stderr, self.values
@@ -164,16 +163,15 @@ class Fit:
             if name not in known:
                 continue
             value, unit = values[name], known[name].unit
-            loose = error > UNTOLD
-            ends = None if loose else list(_interval(value, error, unit))
-            one, unit = (scale.factor, scale.unit) if unit == "Pa" else (1.0, unit)
-            found[name] = {
-                "value": value * one,
-                "stderr": None if loose else error * one,
-                "unit": unit,
-                "interval": ends and [end * one for end in ends],
-                "per_thickness": unit == scale.unit and bool(scale.times),
-            }
+            loose, stiff = error > UNTOLD, unit == "Pa"
+            one = scale.factor if stiff else 1.0
+            found[name] = ConstantRow(
+                value=value * one,
+                stderr=None if loose else error * one,
+                interval=None if loose else tuple(end * one for end in _interval(value, error, unit)),
+                unit=scale.unit if stiff else unit,
+                per_thickness=stiff and scale.per_thickness,
+            )
         return found
 
     @property

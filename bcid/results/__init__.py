@@ -1,0 +1,1 @@
+"""What runs find, as typed records: the JSON files of run folders, format/2."""
