@@ -10,6 +10,7 @@ sys.path[:0] = [str(HERE.parent), str(HERE / "_make")]
 from commands import write_commands  # noqa: E402 - found on the path set above
 from concepts import draw_concepts  # noqa: E402
 from gallery import collect  # noqa: E402
+from result_files import write_result_files  # noqa: E402
 from validation_page import write_validation  # noqa: E402
 
 from bcid import __version__  # noqa: E402
@@ -55,6 +56,7 @@ sphinx_gallery_conf = {
 made = HERE / "_made"
 made.mkdir(exist_ok=True)
 write_commands(made / "commands.md")
+write_result_files(HERE / "_make/files_head.md", made / "files.md")
 draw_concepts(made)
 write_validation(made)
 collect(made / "examples")

@@ -50,14 +50,22 @@ class ConstantRow(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class StiffnessRow(ConstantRow):
-    """A stiffness that measured forces determine; `scene` is the value in the scene."""
+    """A stiffness that measured forces determine.
+
+    Attributes:
+        scene: its value in the scene.
+    """
 
     scene: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class StiffnessRecord(Record):
-    """How stiff the body is by known forces, by constant of the constitutive model."""
+    """How stiff the body is by known forces.
+
+    Attributes:
+        constants: stiffnesses of the constitutive model.
+    """
 
     constants: dict[str, StiffnessRow]
 

@@ -11,7 +11,12 @@ from bcid.results.record import FileRecord, Record, length
 
 @dataclass(frozen=True, kw_only=True)
 class SelectedEffect(Record):
-    """An effect of the last model: its name, its place ("" for none) and its numbers."""
+    """An effect of the last model.
+
+    Attributes:
+        effect, place: its name and place ("" for none).
+        parameters: its numbers.
+    """
 
     effect: str
     place: str
@@ -117,7 +122,14 @@ class ModelRow(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class HypothesisRow(Record):
-    """A hypothesis: anchors, effects, whether an unmodelled discrepancy acts besides, and its posterior probability."""
+    """A hypothesis.
+
+    Attributes:
+        anchored: names of the anchored patches.
+        effects: names of its effects.
+        unknown: whether an unmodelled discrepancy acts besides.
+        probability: posterior probability.
+    """
 
     anchored: tuple[str, ...]
     effects: tuple[str, ...]
@@ -146,7 +158,13 @@ class EvidenceRow(HypothesisRow):
 
 @dataclass(frozen=True, kw_only=True)
 class PosteriorRow(Record):
-    """Posterior probabilities of verdicts, of each patch being anchored, and of the likeliest hypotheses."""
+    """Posterior probabilities.
+
+    Attributes:
+        effects: of verdicts, with "none" and "unknown".
+        patches: of each patch being anchored.
+        hypotheses: the likeliest.
+    """
 
     effects: dict[str, float]
     patches: dict[str, float]
@@ -321,7 +339,13 @@ class DiagnosisRecord(FileRecord):
 
 @dataclass(frozen=True, kw_only=True)
 class ForceRow(Record):
-    """A force (N) on a region about a position, and its standard error (N)."""
+    """A force on a region.
+
+    Attributes:
+        position: middle of the region, three components.
+        force: three components, N.
+        stderr: standard error of a component, N.
+    """
 
     position: tuple[float, ...] = length()
     force: tuple[float, ...]
@@ -330,7 +354,12 @@ class ForceRow(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class TotalForce(Record):
-    """Sums over the body of the steady force, and of that of each action at its end."""
+    """Sums over the body, which may be known where no part is.
+
+    Attributes:
+        steady: of the steady force.
+        growing: by action, of the force at its end.
+    """
 
     steady: ForceRow
     growing: dict[str, ForceRow]

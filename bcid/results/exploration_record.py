@@ -11,7 +11,12 @@ from bcid.results.record import FileRecord, Record, length
 
 @dataclass(frozen=True, kw_only=True)
 class ExplorationHypothesis(Record):
-    """Anchors, and an effect ("" for none)."""
+    """A hypothesis.
+
+    Attributes:
+        anchored: names of the anchored patches.
+        effect: "" for none.
+    """
 
     anchored: tuple[str, ...]
     effect: str
@@ -19,7 +24,11 @@ class ExplorationHypothesis(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class PosteriorHypothesis(ExplorationHypothesis):
-    """The same with its posterior probability."""
+    """The same with its posterior probability.
+
+    Attributes:
+        probability: posterior probability.
+    """
 
     probability: float
 
@@ -46,7 +55,12 @@ class PullOption(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class ExcludedPull(Record):
-    """A pull that is not allowed, and why."""
+    """A pull that is not allowed.
+
+    Attributes:
+        pull: its name.
+        reason: why it is not allowed.
+    """
 
     pull: str
     reason: str

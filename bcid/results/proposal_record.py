@@ -11,7 +11,15 @@ from bcid.results.record import FileRecord, Record, length
 
 @dataclass(frozen=True, kw_only=True)
 class ProposedTerm(Record):
-    """A term: its effect, family, kind, formula, place ("" for none), numbers, and the text of its file."""
+    """A term.
+
+    Attributes:
+        effect: its name as an effect.
+        family, kind, about, formula: of the grammar.
+        place: "" for none.
+        parameters: its numbers.
+        file: text of the Python file that defines the effect.
+    """
 
     effect: str
     family: str
@@ -25,7 +33,13 @@ class ProposedTerm(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class ScoredTerm(Record):
-    """A family beside a model: RMS residual that its score test predicts, and log evidence (None: it cannot act)."""
+    """A family beside a model.
+
+    Attributes:
+        family: its name.
+        expected_rms: RMS residual that its score test predicts.
+        log_evidence: None where it cannot act.
+    """
 
     family: str
     expected_rms: float = length()
@@ -51,7 +65,12 @@ class TermStep(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class CoefficientRow(Record):
-    """A coefficient of a constitutive model's energy, its standard error, and what input uncertainty allows for."""
+    """A coefficient of a constitutive model's energy.
+
+    Attributes:
+        value, stderr: the estimate and its standard error.
+        allowed: standard deviation that the input uncertainty "law" allows for.
+    """
 
     value: float
     stderr: float

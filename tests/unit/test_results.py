@@ -168,3 +168,14 @@ def test_runs_of_format_one_are_loaded(format_one: Path) -> None:
 def test_runs_of_format_one_are_shown(format_one: Path, tmp_path: Path, command: str) -> None:
     made = write_report([format_one / command], tmp_path / "report.html")
     assert not [text for texts in made.troubles.values() for text in texts]
+
+
+def test_every_key_of_a_record_has_a_type_and_a_meaning(tmp_path: Path, project: Path, monkeypatch: Any) -> None:
+    monkeypatch.syspath_prepend(str(project / "docs/_make"))
+    from result_files import write_result_files
+
+    write_result_files(project / "docs/_make/files_head.md", tmp_path / "files.md")
+    lines = (tmp_path / "files.md").read_text(encoding="utf-8").split("## diagnosis.json")[1].splitlines()
+    rows = [line.strip("| ").split(" | ") for line in lines if line.startswith("| `")]
+    assert len(rows) > 150
+    assert [row for row in rows if len(row) != 3 or not all(cell.strip("| ") for cell in row)] == []
