@@ -6,7 +6,7 @@ import itertools
 import math
 import shutil
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +16,7 @@ from bcid.base.inside_folder import refuse_links
 from bcid.base.options import ExploreOptions
 from bcid.base.progress import Progress, Silent
 from bcid.base.run_folder import RunFolder, running, sealed, unsealed
-from bcid.base.units import for_people, percent
 from bcid.exploration.loop import (
-    BUDGET,
-    DECIDED,
-    INSEPARABLE,
-    UNEXPLAINED,
     Exploration,
     Step,
     check,
@@ -54,12 +49,10 @@ from bcid.results.exploration_record import (
     PullOption,
 )
 from bcid.results.run_documents import write_documents
+from bcid.results.summary import exploration_summary
 from bcid.scene import Scene
-from bcid.search.answer.identify_run import odd, stiffness_in_words
 
 SIMULATED, FOLDER = "simulated", "folder"
-# So many sets are named in a sentence.
-_NAMED = 6
 MAKES = ("steps/", "predictions/", "exploration.json", "summary.txt", "posterior.png")
 
 
@@ -219,14 +212,15 @@ def _write(
 
 def documents(scene: Scene, options: ExploreOptions, found: Exploration, level: int) -> dict[str, Any]:
     """What a run folder holds of an exploration, by file name: JSON objects and texts."""
-    body = measures(scene, level_mesh(scene, scene.levels[level]))
-    lines = [summary(scene, options, found), *body]
-    return {"exploration.json": exploration_record(scene, found), "summary.txt": "\n".join(lines) + "\n"}
+    body = tuple(measures(scene, level_mesh(scene, scene.levels[level])))
+    record = replace(exploration_record(scene, options, found), body=body)
+    return {"exploration.json": record, "summary.txt": exploration_summary(record)}
 
 
-def exploration_record(scene: Scene, found: Exploration) -> ExplorationRecord:
+def exploration_record(scene: Scene, options: ExploreOptions, found: Exploration) -> ExplorationRecord:
     """The content of `exploration.json`, lengths in mm."""
-    view = found.view
+    view, telling = found.view, telling_pull(options, found)
+    bits = effect_bits(options, found) if options.consider else [None] * len(found.steps)
     record = ExplorationRecord(
         reason=found.reason,
         anchored=_sorted(view.best.anchors, scene),
@@ -239,25 +233,30 @@ def exploration_record(scene: Scene, found: Exploration) -> ExplorationRecord:
         rms=_finite(view.rms),
         normalised_rms=_finite(view.missed),
         discrepancy_probability=view.missing,
+        adequate=view.missing < THRESHOLDS.credible,
         stiffness=view.stiffness.record() if view.stiffness else None,
         remarks=tuple(found.remarks),
         not_allowed=tuple(ExcludedPull(pull=str(o.move), reason=o.forbidden) for o in found.options if o.forbidden),
         not_separated=tuple(_hypothesis(h, scene) for h in found.rivals),
-        steps=tuple(_step(scene, step) for step in found.steps),
+        steps=tuple(_step(scene, step, about) for step, about in zip(found.steps, bits, strict=True)),
+        scene=scene.name,
+        telling_pull=telling.number if telling and options.consider else None,
     )
     return record.converted("mm")
 
 
-def _step(scene: Scene, step: Step) -> ExplorationStep:
+def _step(scene: Scene, step: Step, effect_bits: float | None) -> ExplorationStep:
     likely = [(h, p) for h, p in step.view.probabilities.items() if p > 1e-4][:16]
     return ExplorationStep(
         number=step.number,
+        pull=str(step.move),
         grasp=step.move.grasp,
         direction=step.move.direction,
         amplitude=step.move.amplitude,
         expected_bits=_finite(step.expected[0]),
         expected_stderr=_finite(step.expected[1]),
         gained_bits=step.gained,
+        effect_bits=effect_bits,
         entropy=step.view.entropy,
         posterior=tuple(
             PosteriorHypothesis(anchored=_sorted(h.anchors, scene), effect=h.effect, probability=p) for h, p in likely
@@ -307,23 +306,6 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _about_effects(options: ExploreOptions, found: Exploration) -> list[str]:
-    """Probabilities of the effects after each pull, and which pull told them apart."""
-    names = ("", *options.consider)
-    lines = ["Probability of the effects:"]
-    lines.append(f"  {'pull':>4}  " + "".join(f"{name or 'none':>{max(12, len(name) + 2)}}" for name in names))
-    for step in found.steps:
-        shown = "".join(f"{percent(step.view.effects[name]):>{max(12, len(name) + 2)}}" for name in names)
-        lines.append(f"  {step.number:>4}  {shown}")
-    told = telling_pull(options, found)
-    if told is None:
-        lines.append("No pull told them apart.")
-    else:
-        bits = effect_bits(options, found)[told.number - 1]
-        lines.append(f"Pull {told.number} ({told.move!s}) told them apart most: {bits:.2f} bits about the effect.")
-    return lines
-
-
 def effect_bits(options: ExploreOptions, found: Exploration) -> list[float]:
     """By how much each pull lowered the entropy of the effects, bits."""
     before = [
@@ -339,51 +321,3 @@ def telling_pull(options: ExploreOptions, found: Exploration) -> Step | None:
         return None
     bits = effect_bits(options, found)
     return found.steps[bits.index(max(bits))]
-
-
-def summary(scene: Scene, options: ExploreOptions, found: Exploration) -> str:
-    """The result in plain sentences."""
-    view, count = found.view, len(found.steps)
-    best = view.best.label(scene.patches)
-    pulls = f"{count} pull{'s' if count != 1 else ''}"
-    what = "Anchored patches" + (" and effect" if options.consider else "")
-    words = {
-        DECIDED: f"{what} of {scene.name}: {best}  (probability {percent(view.certainty)}, after {pulls})",
-        INSEPARABLE: f"Not decided after {pulls}: no allowed pull separates "
-        + ", ".join(h.label(scene.patches) for h in found.rivals[:_NAMED])
-        + (f" and {len(found.rivals) - _NAMED} more" if len(found.rivals) > _NAMED else ""),
-        UNEXPLAINED: f"Not decided after {pulls}: no hypothesis explains what was seen; the likeliest is {best}",
-        BUDGET: f"Not decided: the budget is used ({pulls}); the likeliest is {best} (probability {percent(view.certainty)})",
-    }
-    lines = [*odd(found.remarks), words[found.reason]]
-    for name, number in parameters(view).items():
-        if number.value is not None and number.stderr is not None:
-            value, error, unit = for_people(number.value, number.stderr, number.unit)
-            lines.append(f"  {name} = {value:.4g} +- {error:.2g} {unit}")
-    lines += stiffness_in_words(view.stiffness.record() if view.stiffness else None)
-    if options.consider:
-        lines += ["", *_about_effects(options, found)]
-    if view.missing >= THRESHOLDS.credible:
-        lines += [
-            "",
-            f"WARNING: something is missing in the model, or it is wrong: probability {percent(view.missing)}. The likeliest "
-            f"hypothesis misses what was seen by {view.missed:.1f} times its errors.",
-            "A physical effect is missing, or frames, grasp or material are not what the scene says: see `bcid explain`.",
-        ]
-    forbidden = [option for option in found.options if option.forbidden]
-    if forbidden:
-        lines += ["", "Not allowed:", *(f"  {option.move!s:44} {option.forbidden}" for option in forbidden)]
-    lines += ["", "Pulls:"]
-    for step in found.steps:
-        bits, error = step.expected
-        expected = f"{bits:5.2f} +- {error:.2f} bits expected" if math.isfinite(bits) else "chosen at random"
-        top = next(iter(step.view.probabilities.items()))
-        lines.append(
-            f"  {step.number:>2}  {step.move!s:44} {expected}, {step.gained:5.2f} gained; "
-            f"{top[0].label(scene.patches)} {percent(top[1])}"
-        )
-    lines += ["", "Probability that a patch is anchored:"]
-    lines += [f"  {name:>6}  {percent(p):>9}" for name, p in view.patches.items()]
-    predicted, seconds = sum(s.predicted for s in found.steps), sum(s.seconds for s in found.steps)
-    lines += ["", f"{predicted} pulls were predicted, in {seconds:.1f} s of computing."]
-    return "\n".join(lines) + "\n"

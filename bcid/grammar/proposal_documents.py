@@ -69,15 +69,14 @@ def proposal_documents(
     found = written.proposal
     paths = [Path(f"{name}.py") for name in written.files]
     here = replace(here, files=(*here.files, *paths), own=(*here.own, *written.effects))
-    result = documents(here, done, content)
+    head = [*proposal_text.headline(found), "", *proposal_text.path(found)]
+    result = documents(here, done, content, head)
     diagnosis = with_posterior(result["diagnosis.json"], found.explanation, list(predictor.whole.patches))
     if not written.files:
         diagnosis = replace(diagnosis, verdict=found.explanation.verdict)
     # Lists of what competes with a proposal are its path.
     result["diagnosis.json"] = replace(diagnosis, ambiguous_with=())
     result["proposal.json"] = proposal_record(written).converted(here.measurement.units.length)
-    lines = [*proposal_text.headline(found), "", *proposal_text.path(found), ""]
-    result["summary.txt"] = "\n".join(lines) + "\n" + result["summary.txt"]
     return result
 
 

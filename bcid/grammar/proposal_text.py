@@ -10,8 +10,8 @@ from bcid.base.units import WIDE, falls, for_people, percent, uncertain
 from bcid.forms.model import Model, Term
 from bcid.grammar.effect_file import wrapped
 from bcid.grammar.propose import Entry, Proposal
+from bcid.inference.hypotheses import label
 from bcid.inference.stiffness import StiffnessScale
-from bcid.search.answer.diagnosis_text import anchors
 from bcid.search.answer.explanation import ModelStep
 from bcid.search.answer.law_form import LawForm
 
@@ -25,7 +25,7 @@ def docstring(proposal: Proposal, term: Term, entry: Entry) -> list[str]:
     lines = ["Found by bcid propose.", ""]
     lines += _interval_lines(proposal, term)
     place = f"It acts on the surface '{term.place}'. " if term.place else ""
-    held = f"The body is held at {anchors(last.state)} ({percent(proposal.explanation.held_by)})."
+    held = f"The body is held at {_anchors(last)} ({percent(proposal.explanation.held_by)})."
     lines += [
         "",
         *wrapped(place + held + _law_beside(proposal)),
@@ -37,6 +37,11 @@ def docstring(proposal: Proposal, term: Term, entry: Entry) -> list[str]:
     if others := _not_ruled_out(proposal):
         lines += ["", *wrapped(others)]
     return lines
+
+
+def _anchors(model: ModelStep) -> str:
+    """An anchor set: "{1 2}"."""
+    return label(model.state.anchors, model.state.predictor.whole.patches)
 
 
 def _not_ruled_out(proposal: Proposal) -> str:
@@ -117,7 +122,7 @@ def _left(proposal: Proposal) -> str:
 def headline(proposal: Proposal) -> list[str]:
     """The answer in a few sentences, and the path to it."""
     found = proposal.explanation
-    held = f"Anchored: {anchors(found.last.state)} ({percent(found.held_by)})."
+    held = f"Anchored: {_anchors(found.last)} ({percent(found.held_by)})."
     if not proposal.path:
         if found.verdict == "none":
             text = f"Nothing is missing that these data could show ({percent(found.odds.verdicts['none'])}): no term is proposed."

@@ -8,7 +8,6 @@ from bcid.base.units import for_people
 from bcid.inference.driven_errors import DRIVEN
 from bcid.inference.error_covariance import NuisanceEstimate
 from bcid.results.common_rows import InputUncertaintyRow
-from bcid.results.words import exceeding
 from bcid.scene.uncertainty import ANGLES, FORCES, LENGTHS
 
 # What is off.
@@ -39,24 +38,9 @@ def _at_length(one: NuisanceEstimate) -> str:
     return f"{off}, where {_amount(one, one.size)} is allowed for (a standard deviation)"
 
 
-def warnings(rows: Sequence[InputUncertaintyRow]) -> list[str]:
-    """Lines of a summary on what is larger than the scene says; one where that is more than two."""
-    return [f"WARNING: {text}." for text in exceeding(rows)]
-
-
 def _briefly(one: NuisanceEstimate) -> str:
     """How large a nuisance would have to be, and what is allowed for."""
     return f"{one.name.replace('_', ' ')} {_amount(one, one.most * one.size)} ({_amount(one, one.size)})"
-
-
-def allowed(rows: Sequence[InputUncertaintyRow]) -> list[str]:
-    """A line of a summary: what the scene may have wrong, and what of it these data make likely."""
-    if not rows:
-        return []
-    parts = [f"{one.name} {amount(one.name, one.stddev)} ({amount(one.name, one.estimate)})" for one in rows]
-    return [
-        f"Allowed for in the scene, as standard deviations (and what these data make likely): {', '.join(parts)}.",
-    ]
 
 
 def rows(estimates: Sequence[NuisanceEstimate]) -> tuple[InputUncertaintyRow, ...]:
@@ -67,6 +51,7 @@ def rows(estimates: Sequence[NuisanceEstimate]) -> tuple[InputUncertaintyRow, ..
             stddev=one.size,
             estimate=one.found,
             largest_sigmas=one.most,
+            text=f"{one.name} {_amount(one, one.size)} ({_amount(one, one.found)})",
             exceeds_prior=_at_length(one) if one.used_up else "",
             exceeds_prior_short=_briefly(one) if one.used_up else "",
         )

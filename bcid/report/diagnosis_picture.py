@@ -19,8 +19,9 @@ from bcid.base.tails import chi2_tail
 from bcid.base.units import force_unit, percent, uncertain
 from bcid.report.figure import COLOURS, MAP, Image, body_entries, completed, cropped, head, round_length
 from bcid.report.scene3d import BodyPicture
-from bcid.report.text import conclusion, model_name
+from bcid.report.text import conclusion
 from bcid.results.diagnosis_record import DiagnosisRecord, DiscrepancyRecord, ForceRow
+from bcid.results.words import model_name
 
 Array = NDArray[np.float64]
 

@@ -20,9 +20,9 @@ from bcid.report.found import Found
 from bcid.report.identification_picture import body_figure, draw_probabilities, summary_figure
 from bcid.report.models_chart import models_chart, models_figure, ranking_chart
 from bcid.report.residual import Residual, residuals_of
-from bcid.report.text import model_name
 from bcid.report.time_charts import course_chart, felt, force_chart, torque_chart
 from bcid.report.tracks_picture import rest_picture, tracking_figure
+from bcid.results.words import model_name
 
 BODY, ANSWER, PROPOSAL, RESIDUALS, RANKING = "body", "answer", "proposal", "residuals", "ranking"
 MODELS, POSTERIOR, IMAGES = "models", "posterior", "images"

@@ -9,8 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bcid.report.figure import COLOURS, DARK, GREY, LIGHT, chart, head, short
-from bcid.report.text import conclusion, falling, model_name, plain, steps_of
+from bcid.report.text import conclusion, falling, steps_of
 from bcid.results.diagnosis_record import DiagnosisRecord, RankedEffect
+from bcid.results.words import model_name, plain
 
 _ROWS = 10
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bcid.report.figure import DARK, GREY, LIGHT, MAP, name_frames, name_ticks, short
 from bcid.report.found import Found
-from bcid.report.text import model_name
+from bcid.results.words import model_name
 
 Array = NDArray[np.float64]
 # More fiducials than these have every so many named.

@@ -13,12 +13,12 @@ from bcid.report.found import Found
 from bcid.report.models_chart import place_name
 from bcid.report.residual import residuals_of
 from bcid.report.table import Cell, Column, Table, rounded, text
-from bcid.report.text import amount, listed, model_name, patches, plain
+from bcid.report.text import amount, listed, patches
 from bcid.results.diagnosis_record import DiagnosisRecord, RankedEffect, SensitivityRow
 from bcid.results.exploration_record import ExplorationRecord, ExplorationStep
 from bcid.results.identification_record import IdentificationRecord
 from bcid.results.proposal_record import ProposalRecord
-from bcid.results.words import NO_EFFECTS
+from bcid.results.words import NO_EFFECTS, model_name, plain
 
 # Numbers of an effect that a cell holds.
 _AMOUNTS = 3

@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from bcid.base.units import for_people, limited, uncertain
 from bcid.results.common_rows import ParameterRow
 from bcid.results.diagnosis_record import DiagnosisRecord, ModelRow
+from bcid.results.words import model_name, parameter_text, plain
 
 # Characters that HTML does not allow, or that turn the text after them around.
 _UNWANTED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]")
@@ -16,17 +16,6 @@ _UNWANTED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2
 def clean(text: str) -> str:
     """Text without characters that cannot be in a page."""
     return _UNWANTED.sub("\ufffd", text)
-
-
-def plain(name: str) -> str:
-    """A name of a law or an effect as it is read: "neo-Hookean", "soft anchor (3)"."""
-    law, bracket, rest = name.partition(" (")
-    return {"neo_hooke": "neo-Hookean"}.get(law, law.replace("_", " ").replace("(", " (")) + bracket + rest
-
-
-def model_name(model: str) -> str:
-    """The name of a model as it is read: "neo-Hookean + gravity"."""
-    return " + ".join(plain(part) for part in model.split(" + "))
 
 
 def steps_of(models: Sequence[ModelRow]) -> list[tuple[str, ModelRow]]:
@@ -73,15 +62,8 @@ def listed(names: Sequence[str]) -> str:
 
 
 def amount(name: str, number: ParameterRow) -> str:
-    """A fitted number: "weight = 1257.6 ± 9.4 N/m³", "lag: at most 0.02 (95 %)"; lengths in mm."""
-    value, error, unit = number.value, number.stderr, str(number.unit)
-    if value is None:
-        return f"{plain(name)}: cannot be told"
-    if number.limit is not None:
-        return f"{plain(name)}: {limited(value, number.limit, unit)}".replace("^3", "³").replace("^2", "²")
-    value, error, unit = for_people(value, error, unit)
-    shown = unit.replace("^3", "³").replace("^2", "²")
-    return f"{plain(name)} = {uncertain(value, error, shown)}"
+    """A fitted number: "weight = 1257.6 ± 9.4 N/m³", "lag at most 0.02 (95 %)"; lengths in mm."""
+    return parameter_text(plain(name), number).replace("^3", "³").replace("^2", "²")
 
 
 def duration(seconds: float) -> str:

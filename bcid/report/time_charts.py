@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from bcid.base.tails import normal_quantile
 from bcid.base.units import for_people
 from bcid.report.figure import DARK, LIGHT, chart, name_frames
-from bcid.report.text import plain
 from bcid.results.diagnosis_record import TimeHistory
+from bcid.results.words import plain
 
 Array = NDArray[np.float64]
 # Of x, y and z (Okabe & Ito).

@@ -7,15 +7,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from bcid.base.units import falls, for_people, percent, uncertain
+from bcid.base.units import for_people, percent, uncertain
 from bcid.report import exploration_picture as exploration
 from bcid.report.found import Found
-from bcid.report.text import amount, listed, model_name, patches, plain
-from bcid.results.common_rows import InputUncertaintyRow, ParameterRow
+from bcid.report.text import amount, patches
+from bcid.results import diagnosis_words, identification_words
+from bcid.results.common_rows import ParameterRow
 from bcid.results.diagnosis_record import DiagnosisRecord, SelectedEffect, TimeHistory
 from bcid.results.exploration_record import ExplorationRecord
 from bcid.results.identification_record import IdentificationRecord
-from bcid.results.words import NO_EFFECTS, exceeding, not_adequate_either
+from bcid.results.words import plain
 
 # Amounts of an effect that a reader looks for first.
 _AMOUNTS = 3
@@ -61,36 +62,11 @@ def _asks(found: Found) -> bool:
 
 
 def _diagnosis(found: Found, d: DiagnosisRecord) -> Verdict:
-    sentence = _conclusion(found, d)
-    if begins := d.change_point:
-        sentence += f" It is not there from the start, and shows by step {begins.step} of action {begins.action}."
-    return Verdict(_capital(sentence), _numbers(found, d), _doubts(d))
-
-
-def _conclusion(found: Found, d: DiagnosisRecord) -> str:
-    noise, models = d.noise_rms, d.model_sequence
-    first, last = models[0], models[-1]
-    held = f"{_body(found)} is held at {patches(d.anchored)}, and " if _asks(found) else ""
-    model, left = model_name(last.model), f"{last.rms:.3g} mm, where the noise is {noise:.3g} mm"
-    if d.verdict == "none":
-        words = {True: "is adequate", None: "has nothing against it"}
-        word = words.get(d.adequate, "is not quite adequate, though nothing is seen to be missing")
-        return (
-            f"{held}the {model} model {word}: it misses the measurement by {left} and the scene may be slightly wrong."
-        )
-    if d.verdict == "unknown" and d.ranking:
-        return f"None of the known effects explains this measurement: the closest model misses it by {left}."
-    if d.verdict == "unknown":
-        return f"The {model} model is not adequate: it misses the measurement by {left}."
-    effects = listed([plain(name) for name in d.verdict.split("+")])
-    fitted = next((row.fitted_rms for row in d.ranking if row.effect == d.verdict), None)
-    if len(models) > 1:
-        fitted = last.rms
-    after = f"the error is {last.rms:.3g} mm"
-    if fitted is not None:
-        after = f"with it the error {falls(first.rms, fitted, noise, 'mm')}"
-    whose = f"{held}its" if held else "the"
-    return f"{whose} {'plain ' if len(models) > 1 else ''}model lacks {effects}: {after} (noise {noise:.3g} mm)."
+    sentence, *more = diagnosis_words.conclusion(d)
+    texts = (*more, *diagnosis_words.warnings(d), *diagnosis_words.open_questions(d))
+    doubts = [_capital(text.strip()) for text in texts]
+    notes = [*_remarks(d.remarks), *(f"Note: {warning}" for warning in d.warnings)]
+    return Verdict(sentence, _numbers(found, d), [*doubts, *notes])
 
 
 def _numbers(found: Found, d: DiagnosisRecord) -> list[tuple[str, str]]:
@@ -112,30 +88,6 @@ def _numbers(found: Found, d: DiagnosisRecord) -> list[tuple[str, str]]:
     return numbers
 
 
-def _doubts(d: DiagnosisRecord) -> list[str]:
-    doubts = []
-    if d.noise_warning:
-        doubts.append(f"{_capital(d.noise_warning)}.")
-    if not d.noise_stated:
-        text = (
-            "No noise is stated: it was estimated from the measurement itself, so that no model can be called adequate."
-        )
-        doubts.append(text)
-    if d.adequate is False and set(d.verdict.split("+")) <= {one.effect for one in d.selected_effects}:
-        doubts.append(not_adequate_either(d.p_value))
-    doubts += [
-        *_remarks(d.remarks),
-        *(f"Note: {warning}" for warning in d.warnings),
-        *wrong_inputs(d.input_uncertainties),
-    ]
-    if d.ambiguous_with:
-        others = [NO_EFFECTS.get(name) or plain(name) for name in d.ambiguous_with]
-        doubts.append(f"These data cannot tell it from {listed(others)}.")
-    if d.anchors_certain is False:
-        doubts.append("These data do not tell for certain which patches hold the body.")
-    return doubts
-
-
 def _capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
@@ -143,11 +95,6 @@ def _capital(text: str) -> str:
 def _remarks(texts: Sequence[str]) -> list[str]:
     """What is odd about the measurement."""
     return [f"Look at this first: {text}." for text in texts]
-
-
-def wrong_inputs(rows: Sequence[InputUncertaintyRow]) -> list[str]:
-    """By how much more the scene is wrong than it says."""
-    return [f"{_capital(text)}." for text in exceeding(rows)]
 
 
 def _swings(d: DiagnosisRecord, one: SelectedEffect) -> list[tuple[str, str]]:
@@ -169,9 +116,8 @@ def _moves(course: TimeHistory) -> float:
 
 
 def _pair(effect: str, name: str, number: ParameterRow) -> tuple[str, str]:
-    told = amount(name, number)
-    key, _, value = told.partition(" = " if " = " in told else ": ")
-    return f"{plain(effect)}: {key}", value
+    value = amount(name, number).removeprefix(plain(name)).removeprefix(" =").strip()
+    return f"{plain(effect)}: {plain(name)}", value
 
 
 def _identification(found: Found, d: IdentificationRecord) -> Verdict:
@@ -179,25 +125,14 @@ def _identification(found: Found, d: IdentificationRecord) -> Verdict:
     left = f"{d.rms:.3g} mm" + (f", where the noise is {noise:.3g} mm" if noise else "")
     held = f"{_body(found)} is held at {patches(d.anchored)}, with probability {percent(d.probability)}; the model"
     sentence = f"{held if _asks(found) else 'The model'} misses the measurement by {left}."
-    doubts = _remarks(d.remarks)
-    if not noise:
-        doubts.append("No noise is stated: whether this set explains the measurement cannot be told.")
-    elif not d.adequate:
-        best = patches(d.anchored)
-        sentence = f"No set of anchors explains this measurement: the best, {best}, misses it by {left}."
-        doubts.append("Probabilities compare the sets with each other only; see bcid explain for what may be missing.")
-    doubts += wrong_inputs(d.input_uncertainties)
-    if d.outliers:
-        doubts.append(f"Left out, for they do not go with the body: fiducials {', '.join(d.outliers)}.")
-    for names in d.not_converged:
-        text = "could not be followed to the end, and may be the answer by the frames before."
-        doubts.append(f"{patches(names)} {text}")
+    doubts = [*_remarks(d.remarks), *(_capital(text) for text in identification_words.warnings(d))]
+    if not d.adequate and noise:
+        sentence = f"No set of anchors explains this measurement: the best, {patches(d.anchored)}, misses it by {left}."
     numbers = [("anchored", " ".join(d.anchored) or "none"), ("probability", percent(d.probability))]
     numbers.append(("residual", f"{d.rms:.3g} mm"))
     numbers += [("noise", f"{noise:.3g} mm")] if noise else []
-    numbers += (
-        [("something is missing", percent(d.discrepancy_probability))] if d.discrepancy_probability is not None else []
-    )
+    p = d.discrepancy_probability
+    numbers += [("something is missing", percent(p))] if p is not None else []
     return Verdict(sentence, [*numbers, ("certified", "yes" if d.certified else "no")], doubts)
 
 

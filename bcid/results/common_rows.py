@@ -97,6 +97,7 @@ class InputUncertaintyRow(Record):
         stddev: its prior standard deviation.
         estimate: RMS of its posterior mean.
         largest_sigmas: its largest posterior mean, in prior standard deviations.
+        text: name, prior standard deviation and estimate, in words; "" in files of format/1.
         exceeds_prior: what it would have to be, where the prior does not hold it; "" where it does.
         exceeds_prior_short: the same in a few words.
     """
@@ -105,6 +106,7 @@ class InputUncertaintyRow(Record):
     stddev: float
     estimate: float
     largest_sigmas: float
+    text: str = ""
     exceeds_prior: str
     exceeds_prior_short: str
 
@@ -122,3 +124,28 @@ class LeftOutRow(Record):
     frames: int
     rms: float = length()
     compared_rms: float = length()
+
+    @property
+    def text(self) -> str:
+        """As in summaries; the row is in mm."""
+        return (
+            f"{self.frames} more frames were not compared, and are a test: the model misses them by {self.rms:.3g} mm, "
+            f"those that were compared by {self.compared_rms:.3g} mm."
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComparedRow(Record):
+    """What was compared.
+
+    Attributes:
+        actions, frames, markers: how many.
+        points: of a dense field, of which the markers are means; 0 for none.
+        surface: points of the surface that were seen, in words; "" for none.
+    """
+
+    actions: int
+    frames: int
+    markers: int
+    points: int
+    surface: str

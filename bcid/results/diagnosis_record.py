@@ -36,6 +36,7 @@ class TimeHistory(Record):
         stderr: standard errors; None where a value is not determined.
         stderr_from_mean: standard errors of the differences from the mean of all; None where it was not fitted.
         p_constant: p-value of a constant amount; None where it was not fitted.
+        changes: whether that is small enough to say that it changes; None where it was not fitted.
     """
 
     effect: str
@@ -48,6 +49,11 @@ class TimeHistory(Record):
     stderr: tuple[float | None, ...]
     stderr_from_mean: tuple[float | None, ...] | None = None
     p_constant: float | None = None
+    changes: bool | None = None
+
+
+# Name of the finding that a model fits up to a frame only.
+BREAKING = "from a frame on"
 
 
 @dataclass(frozen=True)
@@ -107,6 +113,7 @@ class ModelRow(Record):
         model: its name, as "neo_hooke + gravity".
         anchored: names of the anchored patches.
         rms: RMS residual per coordinate.
+        normalised_rms: the same in units of all its errors; None in files of format/1.
         held_out_rms: leave-one-action-out error, or None.
         adequate: whether its errors explain the residual; None where no noise is stated.
         p_value: of adequacy.
@@ -115,6 +122,7 @@ class ModelRow(Record):
     model: str
     anchored: tuple[str, ...]
     rms: float = length()
+    normalised_rms: float | None = None
     held_out_rms: float | None = length(default=None)
     adequate: bool | None
     p_value: float
@@ -136,6 +144,12 @@ class HypothesisRow(Record):
     unknown: bool
     probability: float
 
+    @property
+    def label(self) -> str:
+        """As in tables: "{3 4} + gravity and something unknown"."""
+        more = " and something unknown" if self.unknown else ""
+        return "{" + " ".join(self.anchored) + "}" + (f" + {'+'.join(self.effects)}" if self.effects else "") + more
+
 
 @dataclass(frozen=True, kw_only=True)
 class EvidenceRow(HypothesisRow):
@@ -154,6 +168,11 @@ class EvidenceRow(HypothesisRow):
     occam: float
     discrepancy: float
     prior: float
+
+    @property
+    def total(self) -> float:
+        """Difference of the log evidence, with the prior."""
+        return self.misfit + self.volume + self.occam + self.discrepancy + self.prior
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -257,6 +276,7 @@ class DiagnosisRecord(FileRecord):
         adequate: whether its errors explain the residual; None where no noise is stated.
         p_value, false_alarm_rate: of adequacy, and below which it is rejected.
         rms, held_out_rms: RMS residual per coordinate, and leave-one-action-out error.
+        far_above_noise: whether the residual is so much larger than the noise that it is said before all else.
         noise_rms, noise_stated: noise per coordinate, and whether it is stated or estimated.
         noise_like_rms: the part of the residual that is like noise.
         noise_warning: why the stated noise is not used; "" where it is.
@@ -272,19 +292,23 @@ class DiagnosisRecord(FileRecord):
         tests: tests of adequacy of the last model.
         residual_by: RMS residual in units of noise, by "action", "step", "fiducial" and "axis".
         ranking: missing effects, the best first.
+        variants_tried: how many variants of effects were scored; their p-values count them all.
         not_applicable: effects that cannot act here, with the reason.
         ambiguous_with: other verdicts that these data do not exclude.
         separating_pulls: pulls that separate the two likeliest explanations.
         scene_sensitivity: the answer with inputs of the scene off.
         entropy: of anchors and effects, bits; None where it was not computed.
+        least_bits: less information is not worth a step, bits.
         next_steps: what to do next, the most informative first.
         posterior: posterior probabilities, or None.
         unfitted_probability: posterior probability of hypotheses that were not fitted to all steps.
+        without_stiffness: hypotheses with a patch whose springs may have no stiffness; they count as the set without it.
         evidence_split: why the reported hypothesis is more probable than others.
         change_point: when an unmodelled discrepancy begins, or None.
         warnings, skipped: of the fit, and what could not be computed.
         remarks: what is unusual about the measurement.
         left_out: frames that were not compared, or None.
+        body: sizes of the body and its places, in words.
     """
 
     file: ClassVar[str] = "diagnosis.json"
@@ -300,6 +324,7 @@ class DiagnosisRecord(FileRecord):
     false_alarm_rate: float
     rms: float = length()
     held_out_rms: float | None = length(default=None)
+    far_above_noise: bool = False
     noise_rms: float = length()
     noise_stated: bool
     noise_like_rms: float = length()
@@ -316,20 +341,24 @@ class DiagnosisRecord(FileRecord):
     tests: tuple[Finding, ...]
     residual_by: dict[str, dict[str, float]]
     ranking: tuple[RankedEffect, ...] = ()
+    variants_tried: int = 0
     not_applicable: dict[str, str] = field(default_factory=dict)
     ambiguous_with: tuple[str, ...] = ()
     separating_pulls: tuple[SeparatingPull, ...] = ()
     scene_sensitivity: tuple[SensitivityRow, ...] = ()
     entropy: float | None = None
+    least_bits: float = 0.0
     next_steps: tuple[NextStep, ...] = ()
     posterior: PosteriorRow | None = None
     unfitted_probability: float = 0.0
+    without_stiffness: tuple[HypothesisRow, ...] = ()
     evidence_split: tuple[EvidenceRow, ...] = ()
     change_point: ChangePointRow | None = None
     warnings: tuple[str, ...] = ()
     skipped: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     left_out: LeftOutRow | None = None
+    body: tuple[str, ...] = ()
 
     @property
     def first_inadequate(self) -> ModelRow:

@@ -21,6 +21,11 @@ class ExplorationHypothesis(Record):
     anchored: tuple[str, ...]
     effect: str
 
+    @property
+    def label(self) -> str:
+        """As in tables: "{3 4} + gravity"."""
+        return "{" + " ".join(self.anchored) + "}" + (f" + {self.effect}" if self.effect else "")
+
 
 @dataclass(frozen=True, kw_only=True)
 class PosteriorHypothesis(ExplorationHypothesis):
@@ -72,9 +77,11 @@ class ExplorationStep(Record):
 
     Attributes:
         number: from 1.
+        pull: in words.
         grasp, direction, amplitude: the pull.
         expected_bits, expected_stderr: expected information before it, or None.
         gained_bits: by how much it lowered the entropy.
+        effect_bits: by how much it lowered the entropy of the effects; None where none was considered.
         entropy: after it, bits.
         posterior: the likeliest hypotheses.
         patches, effects: probability of each patch being anchored, and of each effect.
@@ -88,12 +95,14 @@ class ExplorationStep(Record):
     """
 
     number: int
+    pull: str = ""
     grasp: str
     direction: str
     amplitude: float = length()
     expected_bits: float | None
     expected_stderr: float | None
     gained_bits: float
+    effect_bits: float | None = None
     entropy: float
     posterior: tuple[PosteriorHypothesis, ...]
     patches: dict[str, float]
@@ -120,11 +129,15 @@ class ExplorationRecord(FileRecord):
         rms: RMS residual of the likeliest hypothesis, or None.
         normalised_rms: in units of its errors, or None.
         discrepancy_probability: posterior probability of an unmodelled discrepancy.
+        adequate: whether no unmodelled discrepancy is certain.
         stiffness: by known forces, or None.
         remarks: what is unusual about the measurements.
         not_allowed: pulls that the limits exclude.
         not_separated: hypotheses that no allowed pull separates.
         steps: the pulls.
+        scene: name of the body.
+        telling_pull: number of the pull that showed most about the effects; None where they are not decided.
+        body: sizes of the body and its places, in words.
     """
 
     file: ClassVar[str] = "exploration.json"
@@ -140,8 +153,17 @@ class ExplorationRecord(FileRecord):
     rms: float | None = length()
     normalised_rms: float | None
     discrepancy_probability: float
+    adequate: bool = True
     stiffness: StiffnessRecord | None
     remarks: tuple[str, ...]
     not_allowed: tuple[ExcludedPull, ...]
     not_separated: tuple[ExplorationHypothesis, ...]
     steps: tuple[ExplorationStep, ...]
+    scene: str = ""
+    telling_pull: int | None = None
+    body: tuple[str, ...] = ()
+
+    @property
+    def hypothesis(self) -> PosteriorHypothesis:
+        """The likeliest one."""
+        return PosteriorHypothesis(anchored=self.anchored, effect=self.effect, probability=self.probability)

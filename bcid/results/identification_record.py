@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from bcid.results.common_rows import InputUncertaintyRow, LeftOutRow, StiffnessRecord
+from bcid.results.common_rows import ComparedRow, InputUncertaintyRow, LeftOutRow, StiffnessRecord
 from bcid.results.record import FileRecord, Record, length
 
 
@@ -63,6 +63,10 @@ class IdentificationRecord(FileRecord):
         refined: patches that were halved, with their halves.
         rounds: what each round of halving did, in words.
         left_out: frames that were not compared, or None.
+        scene: name of the body.
+        compared: what was compared; None in files of format/1, and of explain.
+        partly_held: of patches that hold along some axes only, which, in words.
+        body: sizes of the body and its places, in words.
     """
 
     file: ClassVar[str] = "identification.json"
@@ -91,3 +95,7 @@ class IdentificationRecord(FileRecord):
     refined: dict[str, tuple[str, ...]] = field(default_factory=dict)
     rounds: tuple[str, ...] = ()
     left_out: LeftOutRow | None = None
+    scene: str = ""
+    compared: ComparedRow | None = None
+    partly_held: dict[str, str] = field(default_factory=dict)
+    body: tuple[str, ...] = ()

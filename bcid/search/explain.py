@@ -18,6 +18,7 @@ from bcid.forms.model import Model
 from bcid.inference.hypotheses import Hypothesis, label, log_prior
 from bcid.inference.mesh_error import MeshError
 from bcid.predict.predictor import Predictor
+from bcid.results.words import ADEQUACY
 from bcid.search.answer.adequacy import judge
 from bcid.search.answer.anchor_answer import AnchorAnswer
 from bcid.search.answer.explanation import Explanation, ModelStep, explains, verdict_of
@@ -109,7 +110,8 @@ def _explanation(queue: FullSearch, best: FittedHypothesis, seconds: float) -> E
 def _model_step(rival: FittedHypothesis) -> ModelStep:
     """One model of the ladder, judged; collective."""
     state, adequacy = rival.fitted.state, judge(rival.fitted.state)
-    verdict = f"{adequacy.word} ({p_value(adequacy.p_value)})" if adequacy.told is False else adequacy.word
+    word = ADEQUACY[adequacy.told]
+    verdict = f"{word} ({p_value(adequacy.p_value)})" if adequacy.told is False else word
     state.predictor.progress.say(
         f"{state.model.name}, anchors {label(state.anchors, state.predictor.scene.patches)}: residual {state.rms * 1e3:.3g} mm, "
         f"noise {state.noise * 1e3:.3g} mm, mesh {state.errors.mesh_rms * 1e3:.2g} mm: {verdict}"

@@ -83,7 +83,7 @@ def positions(
 
 
 def rung(model: str, rms: float, adequate: bool) -> dict[str, Any]:
-    numbers = {"rms": rms, "held_out_rms": 1.01 * rms, "p_value": 0.5 if adequate else 0.0}
+    numbers = {"rms": rms, "normalised_rms": 5 * rms, "held_out_rms": 1.01 * rms, "p_value": 0.5 if adequate else 0.0}
     return {"model": model, "anchored": ["left"], "adequate": adequate, **numbers}
 
 

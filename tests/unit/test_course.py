@@ -30,9 +30,10 @@ from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.evidence import log_gains
 from bcid.measurement import Action
 from bcid.predict.predictor import Predictor
-from bcid.results.diagnosis_record import TimeHistory
+from bcid.results.common_rows import ParameterRow
+from bcid.results.diagnosis_record import SelectedEffect, TimeHistory
+from bcid.results.diagnosis_words import effect_text, history_text
 from bcid.scene import Level, Scene
-from bcid.search.answer import diagnosis_text
 from bcid.search.answer.source import Source, _stored_model, stored_effect
 from bcid.search.answer.written_term import parsed_term
 from bcid.search.fitting.courses import knots, seen, time_histories, variant_in_time
@@ -378,8 +379,20 @@ def test_a_model_is_stored_with_its_courses(source: Source) -> None:
 def test_a_course_is_told_by_its_ends() -> None:
     moving = in_time(effects.effect("camera_offset"), (0.0, 10.0))
     values = {p.name: p.neutral or 0.0 for p in moving.parameters} | {"tx_1": -1e-3, "tx_2": 2e-3}
-    told = diagnosis_text.term(Term(moving, values), dict.fromkeys(values, 1e-4))
-    assert "tx from −1.00 ± 0.10 mm (at 0 s) to 2.00 ± 0.10 mm (at 10 s)" in told
+    numbers = {p.name: ParameterRow(value=values[p.name], stderr=1e-4, unit=p.unit) for p in moving.parameters}
+    row = TimeHistory(
+        effect="camera_offset",
+        place="",
+        amount="tx",
+        unit="m",
+        stepwise=False,
+        times=(0.0, 10.0),
+        values=(-1e-3, 2e-3),
+        stderr=(1e-4, 1e-4),
+    )
+    text = effect_text(SelectedEffect(effect=moving.name, place="", parameters=numbers), [row])
+    assert "tx from −1.00 ± 0.10 mm (at 0 s) to 2.00 ± 0.10 mm (at 10 s)" in text
+    assert "tx_1" not in text
 
 
 def fit_of(values: Sequence[float], covariance: Array) -> Fit:
@@ -408,26 +421,26 @@ def test_values_that_miss_alike_tell_that_they_change() -> None:
         "stderr_from_mean": [pytest.approx(5 * math.sqrt(2 / 3))] * 3,
         # The squares of what the values are from their mean, in units of 5 Pa.
         "p_constant": pytest.approx(chi2.sf(2 * 36, 2), rel=1e-6),
+        "changes": True,
     }
     assert (
-        diagnosis_text.in_time(row)
-        == "active_stress: amplitude swings between −30 and 30 Pa (p < 0.0001 that it is constant)."
+        history_text(row) == "active_stress: amplitude swings between −30 and 30 Pa (p < 0.0001 that it is constant)."
     )
     steady = fit_of([290.0, 300.0, 305.0], common + own)
     (row,) = time_histories(steady)
-    assert "may as well be constant" in diagnosis_text.in_time(row)
+    assert "may as well be constant" in history_text(row)
     assert seen(steady, steady.state.model.terms[0], 0.1)
     nothing = fit_of([5.0, -5.0, 0.0], common + own)
     assert not seen(nothing, nothing.state.model.terms[0], 0.1)
     (row,) = time_histories(replace(nothing, coordinates=(), covariance=np.zeros((0, 0))))
     assert (row.stderr, row.stderr_from_mean, row.p_constant) == ((None,) * 3, (None,) * 3, None)
-    assert diagnosis_text.in_time(row).endswith("amplitude: whether it changes with time is not told.")
+    assert history_text(row).endswith("amplitude: whether it changes with time is not told.")
     blind = fit_of([5.0, -5.0, 0.0], np.diag([1e200] * 3))
     (row,) = time_histories(blind)
     assert (row.stderr, row.p_constant) == ((None,) * 3, None)
-    assert diagnosis_text.term(blind.state.model.terms[0], {f"amplitude_{k}": 1e100 for k in (1, 2, 3)}).endswith(
-        "amplitude cannot be told, angle = 0 deg"
-    )
+    angle = {"angle": ParameterRow(value=0.0, stderr=None, unit="deg")}
+    one = SelectedEffect(effect="active_stress_in_time", place="", parameters=angle)
+    assert effect_text(one, [row]) == "active_stress_in_time: amplitude cannot be told, angle = 0 deg"
 
 
 @pytest.mark.parametrize("stepwise", [False, True])

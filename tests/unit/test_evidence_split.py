@@ -9,8 +9,7 @@ import pytest
 
 from bcid.inference.discrepancy import Evidence
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, log_prior
-from bcid.search.answer.diagnosis_text import _split
-from bcid.search.answer.evidence_split import evidence_splits, no_better_fit
+from bcid.search.answer.evidence_split import evidence_splits
 from bcid.search.fitting.fitted_hypothesis import FittedHypothesis
 
 
@@ -43,17 +42,3 @@ def test_evidence_splits_parts_add_up_to_the_difference() -> None:
     assert heavy.hypothesis not in [one.hypothesis for one in evidence_splits(RIVALS, others, first)]
     # What was not compared with all steps has no parts.
     assert evidence_splits(RIVALS, ODDS, Hypothesis(frozenset("3"))) == []
-
-
-def test_no_better_fit_names_what_fits_as_well() -> None:
-    """Of another set; that an effect that is not there would fit a little better is no surprise."""
-    plain = evidence_splits(RIVALS, ODDS, Hypothesis(frozenset("1")))
-    assert no_better_fit(plain) is None
-    wide = [RIVALS[0], rival((), "12", 101.0, 0.0)]
-    splits = evidence_splits(wide, ODDS, Hypothesis(frozenset("1")))
-    assert no_better_fit(splits) == splits[1]
-    text = "\n".join(_split(splits, "12"))
-    assert "{1} fits no better than {1 2}: the rest of the table" in text
-    assert "-7.0" in text
-    assert "fits no better" not in "\n".join(_split(plain, "12"))
-    assert _split(splits[:1], "12") == []

@@ -14,7 +14,7 @@ from bcid.base.errors import InputError, SolveError
 from bcid.base.options import ExploreOptions
 from bcid.exploration import pull_posterior
 from bcid.exploration.choice import Choice
-from bcid.exploration.explore_run import exploration_record, summary
+from bcid.exploration.explore_run import exploration_record
 from bcid.exploration.joined import joined
 from bcid.exploration.loop import BUDGET, DECIDED, INSEPARABLE, Exploration, explore, posterior_before
 from bcid.exploration.moves import Move, limits_of
@@ -26,6 +26,7 @@ from bcid.measurement import Measurement
 from bcid.measurement.contents import Cloud
 from bcid.predict.predictor import Predictor
 from bcid.predict.pull_predictor import PullPredictor
+from bcid.results.summary import exploration_summary
 from bcid.scene import Scene
 from bcid.search.fitting.fitted_hypothesis import FittedHypothesis
 from bcid.search.fitting.state import State
@@ -60,12 +61,12 @@ def test_anchors_are_decided_and_drawn(scene: Scene, working: PullPredictor, tmp
     assert (found.reason, found.view.best) == (DECIDED, Hypothesis(TRUTH))
     assert len(found.steps) == 1
     assert found.steps[0].gained == pytest.approx(2.0, abs=0.3)
-    run = RunFolder.start(tmp_path / "run", "explore", {})
-    run.write_json("exploration.json", exploration_record(scene, found).to_json())
+    run, record = RunFolder.start(tmp_path / "run", "explore", {}), exploration_record(scene, ExploreOptions(), found)
+    run.write_json("exploration.json", record.to_json())
     run.finish({})
     assert draw_pictures(tmp_path / "run") == [tmp_path / "run/posterior.png"]
     assert json.loads((tmp_path / "run/exploration.json").read_text())["steps"][0]["expected_bits"] > 0
-    assert "Pulls:" in summary(scene, ExploreOptions(), found)
+    assert "Pulls:" in exploration_summary(record)
 
 
 def test_the_budget_ends_it(scene: Scene, working: PullPredictor) -> None:

@@ -16,7 +16,6 @@ from bcid.inference.change_point import ChangePoint
 from bcid.inference.discrepancy import Evidence
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, log_prior
 from bcid.inference.priors import PRIORS
-from bcid.search.answer.diagnosis_text import _alone, _begins, _called, _look
 from bcid.search.answer.explanation import Explanation
 from bcid.search.fitting import fitted_hypothesis
 from bcid.search.fitting.fitted_hypothesis import FittedHypothesis
@@ -243,8 +242,8 @@ def test_of_an_effect_it_is_told_how_probable_it_is_whatever_else_acts() -> None
 @pytest.mark.parametrize(
     ("verdict", "by", "sudden", "words"),
     [
-        ("unknown", 2, 0.9, "shows by step 2 of action a:"),
-        ("unknown", 4, 0.9, "shows by step 1 of action b:"),
+        ("unknown", 2, 0.9, "step 2 of action a"),
+        ("unknown", 4, 0.9, "step 1 of action b"),
         ("unknown", 2, 0.4, ""),
         ("none", 2, 0.9, ""),
     ],
@@ -262,10 +261,9 @@ def test_by_when_something_unknown_has_begun_is_told_where_that_is_the_likeliest
     rung: Any = SimpleNamespace(state=state)
     odds = HypothesisOdds.of({less("1"): 0.0})
     found = Explanation(verdict, odds, (rung,), nothing, (replace(best, evidence=evidence),), nothing, {}, 0.0)
-    lines = _begins(found)
-    assert [words in line for line in lines] == [True] * bool(words)
-    assert (found.begins is not None) == bool(words)
-    assert bool(_look(found)) == (not words)
+    change = found.change_point
+    assert (change is not None) == bool(words)
+    assert change is None or words == f"step {change.step} of action {change.action}"
 
 
 PLAIN: Any = SimpleNamespace(terms=(), added=lambda _: [])
@@ -299,11 +297,6 @@ def test_what_cannot_be_followed_is_not_asked_for_again() -> None:
     assert compared.unopposed() is None
 
 
-def test_an_effect_is_told_to_act_alone_where_others_may_act_with_it() -> None:
-    told = ["gravity", "gravity+swelling", "unknown", "none"]
-    assert [name + _alone(name, told) for name in told] == ["gravity alone", *told[1:]]
-
-
 def test_all_hypotheses_are_compared_with_one_error_of_the_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whether that makes one likelier or less likely; and so is what it lacks."""
 
@@ -325,16 +318,6 @@ def test_all_hypotheses_are_compared_with_one_error_of_the_mesh(monkeypatch: pyt
     found = one.allowing(cast("Any", 1.0), PLAIN)
     assert (found.evidence.plain, found.evidence.forced) == (400.0, 20.0)
     assert found.judged is wide
-
-
-def test_something_unknown_is_told_beside_the_effects_that_it_acts_with() -> None:
-    """A verdict that names an effect, and something unknown as probable: both, if the unknown acts beside it."""
-    odds = HypothesisOdds(
-        {Hypothesis(frozenset("3"), "obstacle", True): 0.7, Hypothesis(frozenset("3"), "", True): 0.3}
-    )
-    assert _called(odds, "unknown") == "something unknown, most likely beside obstacle,"
-    assert _called(HypothesisOdds({Hypothesis(frozenset("3"), "", True): 1.0}), "unknown") == "something unknown"
-    assert _called(odds, "gravity") == "gravity"
 
 
 @pytest.mark.parametrize(("gain", "asked"), [(48.5, True), (5.0, False)], ids=["counts", "hopeless"])

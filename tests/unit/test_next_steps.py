@@ -16,9 +16,7 @@ from bcid.inference.discrepancy import Evidence
 from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.mesh_error import MeshError
 from bcid.results.diagnosis_record import NextStep
-from bcid.search.answer.answer_text import next_steps as in_words
 from bcid.search.answer.next_steps import (
-    NextSteps,
     best_places,
     force_information,
     leading,
@@ -120,9 +118,6 @@ def test_next_steps_are_none_for_what_is_certain(monkeypatch: pytest.MonkeyPatch
     steps = next_steps(found, sets.fitted)
     assert steps is not None
     assert steps.steps[0] == NextStep(kind="pull", text="pull grasp I", expected_bits=steps.open)
-    assert "Poisson's ratio (now known to 0.03)" in "\n".join(in_words(steps))
+    assert any("Poisson's ratio (now known to 0.03)" in step.text for step in steps.steps)
     found.open = False
     assert next_steps(found, sets.fitted) is None
-    assert in_words(None) == []
-    assert "Open is only what was not fitted" in in_words(NextSteps(0.0, ()))[0]
-    assert "nothing that is computed here" in in_words(NextSteps(0.4, ()))[0]

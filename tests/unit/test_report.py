@@ -66,10 +66,7 @@ def said(tmp_path: Path, *folders: Path) -> str:
 def test_explained(tmp_path: Path) -> None:
     """Everything, in the order in which a reader asks."""
     text = said(tmp_path, runs.explained(tmp_path / "run"))
-    verdict = (
-        "The slab is held at patch left, and its plain model lacks gravity: with it the error falls from 1.42 to "
-        "0.21 mm (noise 0.2 mm)."
-    )
+    verdict = "Missing in the plain model: gravity. The error falls from 1.42 to 0.21 mm (noise 0.2 mm)."
     wanted = [
         verdict,
         "The body",
@@ -104,7 +101,7 @@ def test_a_set_that_explains_nothing(tmp_path: Path) -> None:
     text = said(tmp_path, folder)
     assert "The slab is held at patch left" in text
     assert "something is missing 12 %" in text
-    assert "they do not go with the body: fiducials 6, 11" in text
+    assert "Fiducial(s) 6, 11 do not go with the body" in text
 
 
 def test_lengths_of_a_measurement_in_metres_are_shown_in_mm(tmp_path: Path) -> None:
@@ -131,10 +128,10 @@ def test_what_is_odd_and_an_unknown_noise_stand_in_the_report(tmp_path: Path) ->
     runs.rewrite(folder, "diagnosis.json", json.dumps(runs.diagnosis() | more))
     text = said(tmp_path, folder)
     assert "Look at this first: markers 3 and 7 look swapped." in text
-    assert "No noise is stated" in text
+    assert "No noise is known" in text
     folder = runs.identified(tmp_path / "identified")
     runs.rewrite(folder, "identification.json", json.dumps(runs.identification() | {"noise_rms": None}))
-    assert "No noise is stated: whether this set explains the measurement cannot be told." in said(tmp_path, folder)
+    assert "No noise is known: whether a set explains this measurement cannot be told" in said(tmp_path, folder)
 
 
 def test_report_of_an_answer_shows_on_what_it_depends_and_what_to_do(tmp_path: Path) -> None:
@@ -163,24 +160,24 @@ def test_report_of_an_answer_shows_on_what_it_depends_and_what_to_do(tmp_path: P
     [
         (
             {"verdict": "none", "model_sequence": [runs.rung("neo_hooke", 0.2, True)]},
-            "the neo-Hookean model is adequate",
+            "The plain model misses the measurement by 0.2 mm",
         ),
-        ({"verdict": "none", "adequate": None}, "the neo-Hookean + gravity model has nothing against it"),
+        ({"verdict": "none", "adequate": None}, "The neo-Hookean + gravity model misses the measurement by 0.21 mm"),
         ({"verdict": "unknown"}, "None of the known effects explains this measurement"),
         (
             {"verdict": "unknown", "change_point": {"action": "lift", "step": 5, "probability": 0.97}},
-            "is 0.2 mm. It is not there from the start, and shows by step 5 of action lift.",
+            "It is not there from the start (97 %, if it is unknown), and shows by step 5 of action lift",
         ),
         ({"verdict": "unknown", "ranking": []}, "model is not adequate: it misses the measurement by 0.21 mm"),
         (
             {"model_sequence": [runs.rung("neo_hooke", 1.42, False)]},
-            "lacks gravity: with it the error falls from 1.42 to 0.21 mm",
+            "Missing in the plain model: gravity. The error falls from 1.42 to 0.21 mm",
         ),
         (
             {"adequate": False, "p_value": 0.002},
             "With that the model is not adequate either (p = 0.002): something else may act besides, or instead.",
         ),
-        ({"verdict": "gravity+time_lag"}, "its plain model lacks gravity and time lag"),
+        ({"verdict": "gravity+time_lag"}, "Missing in the plain model: gravity and time lag"),
     ],
 )
 def test_verdicts(tmp_path: Path, more: dict[str, Any], sentence: str) -> None:
@@ -459,4 +456,4 @@ def test_numbers() -> None:
     assert uncertain(-0.0016636, 1.9e-5) == "−0.001664 ± 0.000019"
     assert uncertain(3.0) == "3"
     assert amount("tx", ParameterRow(value=7.2e-5, stderr=1e-5, unit="m")) == "tx = 0.072 ± 0.010 mm"
-    assert amount("gx", ParameterRow(value=None, stderr=None, unit="1")) == "gx: cannot be told"
+    assert amount("gx", ParameterRow(value=None, stderr=None, unit="1")) == "gx cannot be told"

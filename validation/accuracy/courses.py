@@ -24,6 +24,7 @@ from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.simulate import simulate
 from bcid.measurement import Action
 from bcid.predict.predictor import Predictor
+from bcid.results.words import ADEQUACY
 from bcid.scene import Level
 from bcid.scene.uncertainty import Uncertainty
 from bcid.search.answer.diagnosis import Diagnosis, refitted
@@ -121,7 +122,7 @@ def rows() -> Iterator[str]:
             told = f"most {off.max():.1f}, RMS {np.sqrt(np.mean(off**2)):.1f}" if len(off) else ""
             yield (
                 f"{name:16s} {kind:10s} {len(last.fitted.coordinates):7d} {1e3 * last.state.rms:6.3f} mm "
-                f"{last.adequacy.p_value:8.2g}  {last.adequacy.word:12s} {told}"
+                f"{last.adequacy.p_value:8.2g}  {ADEQUACY[last.adequacy.told]:12s} {told}"
             )
 
 

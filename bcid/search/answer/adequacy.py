@@ -10,14 +10,10 @@ from numpy.typing import NDArray
 
 from bcid.base.tails import chi2_tail, normal_tail
 from bcid.inference.thresholds import THRESHOLDS
-from bcid.results.diagnosis_record import Finding
+from bcid.results.diagnosis_record import BREAKING, Finding
 from bcid.search.fitting.state import State
 
 Array = NDArray[np.float64]
-# What is said of a model that nothing speaks against where no noise is stated.
-NOT_REFUTED = "nothing against it"
-# The test that finds a frame from which on nothing fits.
-BREAKING = "from a frame on"
 
 
 @dataclass(frozen=True)
@@ -40,11 +36,6 @@ class Adequacy:
     def told(self) -> bool | None:
         """Whether the model is adequate; None where that cannot be told: the noise was estimated from what is judged by it."""
         return None if self.adequate and not self.stated else self.adequate
-
-    @property
-    def word(self) -> str:
-        """The same in words."""
-        return {True: "adequate", False: "not adequate", None: NOT_REFUTED}[self.told]
 
 
 def judge(state: State) -> Adequacy:

@@ -21,13 +21,13 @@ from bcid.forms.solver.equilibrium import Settings
 from bcid.forms.surface_marks import SurfaceMarks
 from bcid.measurement import AXES, Measurement
 from bcid.measurement.plane_fits import Pieces, Planes, fit_planes
+from bcid.results.identification_words import SURFACE_MARK
 from bcid.scene import Scene
 from bcid.scene.parts import Vector
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 # What names of surface marks begin with.
-MARK = "surface"
 # The surface is predicted on a level with so many unknowns at most: an error of it shifts what is seen only to second order.
 _UNKNOWNS = 15_000
 _ACCURACY = Settings(rtol=1e-5)
@@ -68,7 +68,7 @@ class Association:
     def __init__(self, scene: Scene, measurement: Measurement, comm: Comm | None = None) -> None:
         self.comm, self.measurement = comm, measurement
         self.marks: SurfaceMarks = on_root(comm, lambda: _marks(scene, measurement))
-        names = [f"{MARK} {number + 1}" for number in range(len(self.marks.middle))]
+        names = [f"{SURFACE_MARK} {number + 1}" for number in range(len(self.marks.middle))]
         taken = [name for name in names if name in scene.fiducials]
         if taken:
             raise InputError(f"fiducial '{taken[0]}' has the name of a surface mark; call it something else")

@@ -17,9 +17,6 @@ from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
 from bcid.results.diagnosis_record import EvidenceRow, HypothesisRow
 from bcid.search.fitting.fitted_hypothesis import FittedHypothesis
 
-# A difference of log evidence that is notable: odds of three.
-_NOTABLE = 1.1
-
 
 @dataclass(frozen=True)
 class EvidenceSplit:
@@ -93,13 +90,3 @@ def evidence_splits(
         return []
     others = sorted((one for one in found if one is not base), key=lambda one: (-one.total, one.hypothesis.order))
     return [one.minus(base) for one in (base, *others[: most - 1])]
-
-
-def no_better_fit(splits: Sequence[EvidenceSplit]) -> EvidenceSplit | None:
-    """The most probable of the others that has no more effects than the first and fits as well; None where there is none."""
-    first = splits[0].hypothesis
-    for one in splits[1:]:
-        h = one.hypothesis
-        if len(h.names) <= len(first.names) and h.unknown == first.unknown and one.misfit > -_NOTABLE > one.total:
-            return one
-    return None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -23,17 +23,15 @@ from bcid.forms.mesh.check import measures
 from bcid.forms.mesh.patches import divided, first_level
 from bcid.forms.mesh.shares import share
 from bcid.forms.model import Model, check_physics
-from bcid.inference import nuisance_text
 from bcid.inference.continuation import truncate_to_converged
-from bcid.inference.hypotheses import label
 from bcid.measurement import AXES, WRENCH, Measurement
 from bcid.measurement.compared import LeftOut, in_plane, pooled, thinned
 from bcid.predict.levels import pair
 from bcid.predict.store import CHECKPOINT, PredictionStore
-from bcid.results.common_rows import LeftOutRow, StiffnessRecord
+from bcid.results.common_rows import ComparedRow, LeftOutRow
 from bcid.results.run_documents import write_documents
+from bcid.results.summary import identification_summary
 from bcid.scene import Scene
-from bcid.search.answer.association import MARK
 from bcid.search.answer.identification import Identification
 from bcid.search.answer.refine import Refinement, check_rounds, identify_refined
 from bcid.search.answer.surface_rounds import settled
@@ -151,14 +149,22 @@ def documents(measurement: Measurement, done: Refinement, mesh: BodyMesh) -> dic
     """What a run folder holds of an identification, by file name: JSON objects, datasets and texts."""
     scene, found = done.scene, done.found
     left_out = LeftOut.of(scene, measurement.without(found.outliers), found.prediction.positions)
-    record = replace(done.record(), remarks=measurement.remarks, left_out=left_out_row(left_out))
-    tested = [f"{left_out}."] if left_out else []
-    lines = [summary(scene, measurement, found, done.log), *tested, *inputs_in_words(scene, measurement, mesh)]
+    record = replace(
+        done.record(),
+        remarks=measurement.remarks,
+        left_out=left_out_row(left_out),
+        scene=scene.name,
+        compared=compared_row(scene, measurement),
+        partly_held={
+            name: scene.held_in_words(name) for name in scene.patches if len(scene.held_along(name)) < len(AXES)
+        },
+        body=tuple(inputs_in_words(scene, measurement, mesh)),
+    )
     return {
         "identification.json": record.converted(measurement.units.length),
         "prediction.nc": prediction_dataset(scene, measurement, found),
         "body.nc": body_dataset(scene, mesh, found),
-        "summary.txt": "\n".join(lines) + "\n",
+        "summary.txt": identification_summary(record),
     }
 
 
@@ -237,105 +243,26 @@ def body_parts(
     )
 
 
-def summary(scene: Scene, measurement: Measurement, found: Identification, rounds: Sequence[str] = ()) -> str:
-    """The result in plain sentences, what is doubtful first; lengths in mm. `rounds` says how the patches were refined."""
-    length, unit = "mm", 1e-3
-    names = label(found.anchored, scene.patches)
+def compared_row(scene: Scene, measurement: Measurement) -> ComparedRow:
+    """What was compared, as results hold it."""
     frames, rows = measurement.positions.shape[:2]
-    fiducials = rows - len(scene.surface)
-    points = sum(len(members) for members in scene.members.values())
-    pooling = f" (means of {points} points)" if points else ""
-    noise = f"the stated noise is {found.noise_rms / unit:.3g} {length}" if found.noise_rms else "no noise is stated"
-    mesh = "Nothing is known of the error of the mesh."
-    if found.discretisation_rms is not None:
-        mesh = f"What may be left of the error of the mesh is {found.discretisation_rms / unit:.2g} {length}."
-    lines = [
-        *odd(measurement.remarks),
-        *_warning(found),
-        f"Anchored patches of {scene.name}: {names}  (probability {percent(found.probability)})"
-        if scene.patches
-        else f"{scene.name}: no patch is a candidate; what is held is known.",
-        "",
-        f"The model misses the measurement by {found.rms / unit:.3g} {length} per coordinate (RMS); {noise}.",
-        mesh,
-        *_besides(found),
-        *stiffness_in_words(found.stiffness),
-        f"Compared: {len(measurement.action_names)} action(s), {frames} frames, {fiducials} fiducials{pooling}.",
-        *_of_surface(scene, measurement),
-        *_of_patches(scene, found),
-    ]
-    for other in found.alternatives[:3]:
-        misses = f"misses by {other.rms / unit:.3g} {length} where {names} misses by {other.reported_rms / unit:.3g}"
-        where = f" (in {other.frames} of {frames} frames)" if other.frames < frames else ""
-        text = f"{label(other.anchored, scene.patches)} {misses}{where}, probability {percent(other.probability)}"
-        lines.append(f"  {text}{'; it could not be followed further' if other.failure else ''}")
-    if found.patches and not found.alternatives:
-        lines.append("  none was evaluated")
-    lines += ["", "How it was found:", *(f"  {stage}" for stage in found.stages)]
-    counts = found.evaluated
-    proof = (
-        f"of all {2 ** len(scene.patches)} sets {counts['in full']} were followed to the end, "
-        f"{counts['stopped']} until they had lost, {counts['failed']} failed, {counts['not']} were not followed"
+    return ComparedRow(
+        actions=len(measurement.action_names),
+        frames=frames,
+        markers=rows - len(scene.surface),
+        points=sum(len(members) for members in scene.members.values()),
+        surface=_of_surface(scene, measurement),
     )
-    lines.append(f"  {'Certified' if found.certified else 'Not certified'}: {proof}.")
-    lines += _confused(scene, found)
-    if found.failures:
-        lines.append(
-            f"  For {len(found.failures)} set(s) the model found no acceptable equilibrium: {'; '.join(list(found.failures)[:6])}."
-        )
-    if rounds:
-        lines += ["", "How the patches were refined, before the search above:", *(f"  {text}" for text in rounds)]
-    return "\n".join(lines) + "\n"
 
 
-def _of_patches(scene: Scene, found: Identification) -> list[str]:
-    """The candidates, each with its probability; nothing where the scene has none."""
-    if not found.patches:
-        return []
-    each = (
-        f"  {name:>6}  {percent(p):>9}  {_state(scene, name, name in found.anchored)}"
-        for name, p in found.patches.items()
-    )
-    return ["", "Probability that a patch is anchored:", *each, "", "Next best sets:"]
-
-
-def _state(scene: Scene, patch: str, anchored: bool) -> str:
-    """What a patch does, and along which axes where that is not along all."""
-    along = f" along {scene.held_in_words(patch)}" if len(scene.held_along(patch)) < len(AXES) else ""
-    return f"{'anchored' if anchored else 'free'}{along}"
-
-
-def _of_surface(scene: Scene, measurement: Measurement) -> list[str]:
+def _of_surface(scene: Scene, measurement: Measurement) -> str:
     """What was seen of the surface."""
     cloud = measurement.cloud
     if cloud is None or cloud.noise is None or cloud.counted is None:
-        return []
+        return ""
     points = f"{len(cloud.points)} points with a noise of {cloud.noise * 1e3:.2g} mm"
-    return [
-        f"Surface: {len(scene.surface)} marks from {points}; {percent(cloud.counted)} of them are of the body and near a mark."
-    ]
-
-
-def _besides(found: Identification) -> list[str]:
-    """What was allowed for besides noise and mesh, and whether that is all."""
-    if found.discrepancy_probability is None:
-        return []
-    p = percent(found.discrepancy_probability)
-    missing = f"Something is missing in the model besides, or it is wrong there: probability {p}."
-    return [*nuisance_text.allowed(found.input_uncertainties), missing]
-
-
-def stiffness_in_words(found: StiffnessRecord | None) -> list[str]:
-    """How stiff the body is, by known forces."""
-    return [f"Stiffness by known forces: {found.text}."] if found else []
-
-
-def _confused(scene: Scene, found: Identification) -> list[str]:
-    """Other sets that these data cannot tell from the reported one."""
-    others = next((members[1:] for members in found.classes if found.anchored in members), ())
-    if not others:
-        return []
-    return [f"  These data cannot tell it from: {', '.join(label(names, scene.patches) for names in others)}."]
+    shown = percent(cloud.counted)
+    return f"Surface: {len(scene.surface)} marks from {points}; {shown} of them are of the body and near a mark."
 
 
 def inputs_in_words(scene: Scene, measurement: Measurement, mesh: BodyMesh) -> list[str]:
@@ -344,56 +271,3 @@ def inputs_in_words(scene: Scene, measurement: Measurement, mesh: BodyMesh) -> l
     if measurement.aligned is not None:
         lines.append(f"Frame: [align] misses its markers by {measurement.aligned * 1e3:.3g} mm (RMS distance).")
     return lines
-
-
-def odd(remarks: Iterable[str]) -> list[str]:
-    """What is odd about a measurement, as a summary says it before anything else."""
-    return [f"LOOK AT THIS FIRST: {text}." for text in remarks]
-
-
-def _warning(found: Identification) -> list[str]:
-    """What must stand above the result: that the model does not explain the data, or that this cannot be told."""
-    return [*_outliers(found), *_open(found), *_unexplained(found), *nuisance_text.warnings(found.input_uncertainties)]
-
-
-def _outliers(found: Identification) -> list[str]:
-    """That some fiducials were left out."""
-    if not found.outliers:
-        return []
-    kind = "surface mark(s)" if all(name.startswith(MARK) for name in found.outliers) else "fiducial(s)"
-    return [
-        f"WARNING: {kind} {', '.join(found.outliers)} do not go with the body, whatever set holds it and whatever smooth "
-        "force acts: swapped, or misplaced? They are left out."
-    ]
-
-
-def _open(found: Identification) -> list[str]:
-    """That a set which could not be followed to the end may be the one."""
-    rivals = [one for one in found.alternatives if one.anchored in found.not_converged]
-    if not rivals:
-        return []
-    first, more = rivals[0], len(rivals) - 1
-    others = f" and {more} other set(s)" if more else ""
-    return [
-        f"WARNING: {{{' '.join(first.anchored)}}}{others} could not be followed to the end ({first.failure}). On the frames before "
-        f"it has probability {percent(first.probability)}: the answer below is the best of the sets that could be followed, and "
-        "it may be wrong.",
-    ]
-
-
-def _unexplained(found: Identification) -> list[str]:
-    if found.noise_rms is None:
-        return [
-            "WARNING: no noise is known: whether a set explains this measurement cannot be told; the best misses it by "
-            f"{found.rms * 1e3:.3g} mm. State noise_sigma.",
-        ]
-    if found.adequate:
-        return []
-    which, best = ("no set explains", "the best") if found.patches else ("the model does not explain", "it")
-    compared = "Probabilities compare the sets with each other only" if found.patches else ""
-    beside = ", with an unknown smooth force in place of what is missing" if found.discrepancy_probability else ""
-    return [
-        f"WARNING: {which} this measurement: {best} misses it by {found.rms / found.noise_rms:.1f} times the noise.",
-        "The mesh is too coarse, a physical effect is missing (bcid explain), or units, frames, grasp or material are not what",
-        f"the scene says. {compared}{beside}." if compared else "the scene says.",
-    ]

@@ -33,18 +33,20 @@ from bcid.results.diagnosis_record import (
     SelectedEffect,
     TotalForce,
 )
-from bcid.search.answer import answer_text, diagnosis_text
+from bcid.results.summary import diagnosis_summary
 from bcid.search.answer.adequacy import groups, judge
 from bcid.search.answer.diagnosis import Diagnosis
 from bcid.search.answer.evidence_split import hypothesis_row
 from bcid.search.answer.explanation import Explanation, ModelStep, explains
-from bcid.search.answer.identify_run import body_parts, inputs_in_words, left_out_row, odd, stiffness_in_words
+from bcid.search.answer.identify_run import body_parts, inputs_in_words, left_out_row
 from bcid.search.answer.source import Source, stored_effect
 from bcid.search.answer.where import MissingForce, Place
 from bcid.search.fitting import courses, curvature
 from bcid.search.fitting.fit import Fit
 from bcid.search.fitting.fitted_hypothesis import FittedHypothesis
+from bcid.search.fitting.ranking import Ranking, Row
 from bcid.search.fitting.state import detailed
+from bcid.search.settings import SETTINGS
 
 MODEL_FORMAT = "bcid-model/1"
 Array = NDArray[np.float64]
@@ -63,16 +65,22 @@ def collect(predictor: Predictor, done: Diagnosis) -> dict[str, Any]:
     return {"parts": parts, "mesh": mesh, "displacement": found.displacement, "energy": found.energy}
 
 
-def documents(source: Source, done: Diagnosis, content: dict[str, Any]) -> dict[str, Any]:
+def documents(source: Source, done: Diagnosis, content: dict[str, Any], head: Sequence[str] = ()) -> dict[str, Any]:
     """What a run folder holds of a diagnosis, by file name: records, the model as JSON, datasets and texts.
 
-    `content` is what `collect` gave.
+    `content` is what `collect` gave, `head` lines of the summary in place of its conclusion.
     """
     unit, last = source.measurement.units.length, done.rungs[-1].state
     shares = {label: float(np.sqrt(np.nanmean(part**2))) for label, part in content["parts"].items()}
-    remarks = source.measurement.remarks
     left_out = LeftOut.of(last.predictor.whole, last.predictor.measurement, last.predicted)
-    diagnosis = replace(diagnosis_record(done), remarks=remarks, contributions=shares, left_out=left_out_row(left_out))
+    diagnosis = replace(
+        diagnosis_record(done),
+        remarks=source.measurement.remarks,
+        contributions=shares,
+        left_out=left_out_row(left_out),
+        body=tuple(inputs_in_words(source.scene, source.measurement, content["mesh"])),
+    )
+    force = None if done.where is None else discrepancy_record(done.where)
     found: dict[str, Any] = {
         "diagnosis.json": diagnosis.converted(unit),
         "model.json": model_json(done.rungs[-1], source),
@@ -80,15 +88,12 @@ def documents(source: Source, done: Diagnosis, content: dict[str, Any]) -> dict[
     }
     if done.explanation is not None:
         found["identification.json"] = done.explanation.identification.converted(unit)
-    if done.where is not None:
-        found["discrepancy.json"] = discrepancy_record(done.where).converted(unit)
+    if force is not None:
+        found["discrepancy.json"] = force.converted(unit)
     found["body.nc"] = body_parts(
         source.scene, content["mesh"], content["displacement"], content["energy"], diagnosis.anchored
     )
-    tested = [f"{left_out}."] if left_out else []
-    inputs = inputs_in_words(source.scene, source.measurement, content["mesh"])
-    lines = [*summary(done, shares, remarks), "", *tested, *inputs]
-    return found | {"summary.txt": "\n".join(lines) + "\n"}
+    return found | {"summary.txt": diagnosis_summary(diagnosis, force, head)}
 
 
 def model_json(rung: ModelStep, source: Source) -> dict[str, Any]:
@@ -123,6 +128,7 @@ def diagnosis_record(done: Diagnosis) -> DiagnosisRecord:
         false_alarm_rate=THRESHOLDS.false_alarms,
         rms=state.rms,
         held_out_rms=last.held_out,
+        far_above_noise=state.rms > THRESHOLDS.residual * state.noise and not last.adequacy.adequate,
         noise_rms=state.noise,
         noise_stated=state.predictor.data.stated,
         noise_like_rms=state.rough,
@@ -137,10 +143,12 @@ def diagnosis_record(done: Diagnosis) -> DiagnosisRecord:
         tests=last.adequacy.findings,
         residual_by=groups(state),
         ranking=_ranking(asked, order) if asked else (),
+        variants_tried=asked.ranking.tried if asked and asked.ranking else 0,
         not_applicable=asked.ranking.excluded if asked and asked.ranking else {},
         separating_pulls=done.pulls,
         scene_sensitivity=tuple(row.row(order) for row in done.sensitivity),
         entropy=done.next_steps.open if done.next_steps else None,
+        least_bits=SETTINGS.helping,
         next_steps=done.next_steps.steps if done.next_steps else (),
         warnings=tuple(last.fitted.warnings),
         skipped=tuple(state.predictor.skipped),
@@ -163,10 +171,36 @@ def with_posterior(record: DiagnosisRecord, found: Explanation, order: Sequence[
             effects=odds.verdicts, patches=patches(odds.probabilities, order), hypotheses=hypotheses
         ),
         unfitted_probability=found.neglected,
+        without_stiffness=tuple(hypothesis_row(r.hypothesis, 0.0, order) for r in found.slack),
         evidence_split=tuple(one.row(order) for one in found.splits),
         change_point=found.change_point,
-        noise_warning=diagnosis_text.noise_doubt(found),
+        noise_warning=noise_warning(found),
     )
+
+
+def noise_warning(found: Explanation) -> str:
+    """Why the noise that is stated is not believed; "" where it is, or where none is stated."""
+    if found.noise is None or not found.last.state.predictor.data.stated:
+        return ""
+    share = found.noise.factor
+    rest = "; the rest of it is taken for errors that persist along trajectories" if share < 1 else ""
+    return (
+        f"the noise is stated as {found.noise.sigma / share * 1e3:.3g} mm, but what is left of it, smooth parts aside, "
+        f"is {share:.2g} times as large ({found.noise.sigma * 1e3:.3g} mm), which is taken instead{rest}"
+    )
+
+
+def own(fitted: Fit, one: Term, of: Mapping[str, float]) -> dict[str, float]:
+    """What a fit has of the numbers of one of its effects, by parameter."""
+    return {name: of[one.full(name)] for name in one.values if one.full(name) in of}
+
+
+def _ordered(ranking: Ranking, rivals: Sequence[FittedHypothesis]) -> list[Row]:
+    """Rows with the refitted effects first, the best of them on top."""
+    place: dict[str, int] = {}
+    for i, rival in enumerate(rivals):
+        place.setdefault(rival.effect, i)
+    return sorted(ranking.rows, key=lambda row: place.get(row.effect, len(place)))
 
 
 def _verdict(done: Diagnosis, asked: ModelStep | None) -> str:
@@ -192,6 +226,7 @@ def _model_row(rung: ModelStep, order: Sequence[str]) -> ModelRow:
         model=rung.name,
         anchored=_anchored(rung.state.anchors, order),
         rms=rung.state.rms,
+        normalised_rms=math.sqrt(rung.state.chi2 / len(rung.state.predictor.data)),
         held_out_rms=rung.held_out,
         adequate=rung.adequacy.told,
         p_value=rung.adequacy.p_value,
@@ -217,7 +252,7 @@ def _seen(fitted: Fit, one: Term) -> bool:
 
 def _own(fitted: Fit, one: Term) -> tuple[dict[str, float], dict[str, float]]:
     """Standard errors and limits of an effect's own numbers."""
-    return diagnosis_text.own(fitted, one, fitted.stderr), diagnosis_text.own(fitted, one, fitted.limits)
+    return own(fitted, one, fitted.stderr), own(fitted, one, fitted.limits)
 
 
 def _selected(fitted: Fit, one: Term) -> SelectedEffect:
@@ -244,7 +279,7 @@ def _ranking(asked: ModelStep, order: Sequence[str]) -> tuple[RankedEffect, ...]
     for rival in asked.rivals:
         best.setdefault(rival.effect, rival)
     rows = []
-    for row in diagnosis_text.ordered(asked.ranking, asked.rivals):
+    for row in _ordered(asked.ranking, asked.rivals):
         own = best.get(row.effect)
         one = own.term if own else row.term
         errors = _own(own.fitted, one) if own else (row.stderr, {})
@@ -327,49 +362,3 @@ def _wrenches(data: Data, arrays: Mapping[str, Array]) -> dict[str, Any]:
         return {}
     dims = "frame", "component"
     return {f"wrench_{name}": (dims, data.forces.wrenches(array[:, -ROWS:])) for name, array in arrays.items()}
-
-
-def summary(done: Diagnosis, shares: Mapping[str, float], remarks: Sequence[str] = ()) -> list[str]:
-    """The result in plain sentences, lengths in mm.
-
-    Args:
-        shares: how much each effect moves the fiducials (RMS, m).
-        remarks: what is odd about the measurement, to be said first.
-    """
-    unit, name = 1e-3, "mm"
-    lines = [*odd(remarks), *diagnosis_text.warning(done.rungs[-1])]
-    if done.explanation is not None:
-        doubt = diagnosis_text.noise_doubt(done.explanation)
-        lines += [f"WARNING: {doubt}."] if doubt else []
-        lines += [*diagnosis_text.conclusion(done.explanation, unit, name, done.pulls), ""]
-        lines += [*diagnosis_text.beliefs(done.explanation), ""]
-        lines += answer_text.sensitivity(done.sensitivity, list(done.rungs[-1].state.predictor.whole.patches))
-        lines += answer_text.next_steps(done.next_steps)
-    skipped = done.rungs[-1].state.predictor.skipped
-    if skipped:
-        lines += ["Not evaluated, because that failed:", *(f"  {text}" for text in skipped), ""]
-    lines += ["The ladder of models:", *diagnosis_text.ladder(done.rungs, unit, name), ""]
-    if shares:
-        parts = ", ".join(f"{label} {share / unit:.3g} {name}" for label, share in shares.items())
-        lines += [f"What each effect adds to the positions (RMS): {parts}.", ""]
-    for rung in done.rungs:
-        lines += [*diagnosis_text.verdict(rung.state, rung.adequacy, unit, name), ""]
-        stiffness = rung.fitted.stiffness
-        told = stiffness_in_words(stiffness.record() if stiffness else None)
-        lines += [*told, ""] if told else []
-        constants = diagnosis_text.law(rung.fitted)
-        lines += [*constants, ""] if constants else []
-        if rung.fitted.coordinates:
-            lines += [f"  {diagnosis_text.term(d, *_own(rung.fitted, d))}" for d in rung.state.model.terms]
-            lines += [f"  {diagnosis_text.in_time(row)}" for row in courses.time_histories(rung.fitted)]
-            lines += [f"  Note: {text}" for text in rung.fitted.warnings] + [""]
-        if rung.ranking is not None:
-            lines += [
-                "Which effect is missing?",
-                *diagnosis_text.table(rung.ranking, rung.rivals, rung.state.rms, unit, name),
-                "",
-            ]
-    lines += diagnosis_text.worst(done.rungs[-1].state if not done.rungs[-1].adequacy.adequate else done.rungs[0].state)
-    if done.where is not None:
-        lines += ["", *diagnosis_text.force(done.where, unit, name)]
-    return lines

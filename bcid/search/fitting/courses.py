@@ -13,6 +13,7 @@ from bcid.base.tails import chi2_tail
 from bcid.base.units import UNTOLD
 from bcid.forms.course import Course, course_of, in_time
 from bcid.forms.model import Term
+from bcid.inference.thresholds import THRESHOLDS
 from bcid.measurement import Measurement
 from bcid.results.diagnosis_record import TimeHistory
 from bcid.search.fitting.fit import Fit
@@ -103,6 +104,7 @@ def _rows(fitted: Fit, term: Term, course: Course | None) -> list[TimeHistory]:
         assert course is not None
         names = course.names(p.name)
         told = [errors.get(term.full(name), math.inf) for name in names]
+        constant = _p_value(fitted, term, names, np.diff(np.eye(len(names)), axis=0), 0.0)
         found.append(
             TimeHistory(
                 effect=course.effect.name,
@@ -114,7 +116,8 @@ def _rows(fitted: Fit, term: Term, course: Course | None) -> list[TimeHistory]:
                 values=tuple(term.values[name] for name in names),
                 stderr=tuple(error if error < UNTOLD else None for error in told),
                 stderr_from_mean=_apart(fitted, term, names),
-                p_constant=_p_value(fitted, term, names, np.diff(np.eye(len(names)), axis=0), 0.0),
+                p_constant=constant,
+                changes=None if constant is None else constant <= THRESHOLDS.surprise,
             )
         )
     return found
