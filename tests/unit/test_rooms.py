@@ -15,7 +15,7 @@ BUDGETS = {
     "inference": (3580, 22),
     "predict": (1850, 12),
     "results": (1690, 13),
-    "search": (9050, 49),
+    "search": (9055, 49),
     "grammar": (2500, 18),
     "exploration": (1840, 11),
     "vision": (5110, 30),
