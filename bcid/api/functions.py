@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from functools import partial
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 from bcid.api.results import DiagnosisResult, ExploreResult, IdentifyResult, ProposeResult
 from bcid.base.collective import Comm, on_root
@@ -22,20 +20,14 @@ from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import check_geometry
 from bcid.forms.mesh.patches import divided
 from bcid.forms.model import Model, Term, check_physics
-from bcid.grammar.proposal_documents import WrittenProposal, proposal_documents, searched
-from bcid.grammar.propose_run import effect_names
-from bcid.inference.continuation import truncate_to_converged
+from bcid.grammar.proposal_job import ProposalJob, effect_names
 from bcid.measurement import Measurement
-from bcid.predict.predictor import Predictor
 from bcid.predict.pull_predictor import PullPredictor
 from bcid.predict.store import PredictionStore
 from bcid.scene import Scene
-from bcid.search.answer import identify_run
-from bcid.search.answer.diagnosis import Diagnosis, check_terms, compared, diagnosed, explained, on_predictor, refitted
-from bcid.search.answer.output import collect
-from bcid.search.answer.output import documents as diagnosis_documents
+from bcid.search.answer.comparison_job import ComparisonJob, compare_job, diagnose_job, explain_job, fit_job
+from bcid.search.answer.identification_job import IdentificationJob, fitting
 from bcid.search.answer.source import Source
-from bcid.search.answer.written_term import parsed_term
 
 SceneLike = Scene | str | Path
 MeasurementLike = Measurement | str | Path
@@ -66,14 +58,8 @@ def identify(
         SolveError: the forward model failed for every set.
     """
     comm = comm or _alone()
-    body, seen = _inputs(scene, measurement, comm)
-
-    def work(seen: Measurement) -> IdentifyResult:
-        done, seen = identify_run.identified(body, seen, comm, options, refine, model, progress)
-        mesh = identify_run.working_mesh(done, comm)
-        return IdentifyResult.of(identify_run.documents(seen, done, mesh), "identify")
-
-    return truncate_to_converged(seen, work)
+    job = IdentificationJob(*_inputs(scene, measurement, comm), options, refine, model)
+    return IdentifyResult.of(job.made(comm, progress).documents, "identify")
 
 
 def compare(
@@ -101,7 +87,7 @@ def compare(
     """
     comm = comm or _alone()
     source = _source(scene, measurement, comm, model, anchors, free)
-    return _diagnosed("compare", source, comm, level, progress, compared)
+    return _done(compare_job(source, level), comm, progress)
 
 
 def diagnose(
@@ -128,7 +114,7 @@ def diagnose(
     """
     comm = comm or _alone()
     source = _source(scene, measurement, comm, model, anchors, free, effects)
-    return _diagnosed("diagnose", source, comm, level, progress, partial(diagnosed, only=only))
+    return _done(diagnose_job(source, level, only), comm, progress)
 
 
 def fit(
@@ -158,12 +144,10 @@ def fit(
     """
     comm = comm or _alone()
     source = _source(scene, measurement, comm, model, anchors, (), effects)
-    terms = [parsed_term(one, source, "add") if isinstance(one, str) else one for one in add]
+    terms = list(add)
     if not terms and not free:
         raise InputError('fit: nothing to do; name an effect, as add=["gravity"], or a number, as free=["young"]')
-    check_terms(source, terms, free, fixed)
-    work = partial(refitted, terms=terms, free=free, fixed=fixed)
-    return _diagnosed("fit", source, comm, level, progress, work)
+    return _done(fit_job(source, level, terms, free, fixed, "add"), comm, progress)
 
 
 def explain(
@@ -186,9 +170,9 @@ def explain(
     Raises:
         InputError, SolveError: as `identify`.
     """
-    comm, chosen = comm or _alone(), options or ExplainOptions()
+    comm = comm or _alone()
     source = _source(scene, measurement, comm, model, None, (), effects)
-    return _diagnosed("explain", source, comm, chosen.level, progress, partial(explained, options=chosen))
+    return _done(explain_job(source, options), comm, progress)
 
 
 def propose(
@@ -215,18 +199,8 @@ def propose(
     chosen.check()
     names = effect_names(Path(f"{name}.py"), chosen.max_effects)
     source = _source(scene, measurement, comm, model, None, ())
-    told: list[WrittenProposal] = []
-
-    def work(predictor: Predictor, here: Source) -> Diagnosis:
-        written, done = searched(predictor, here.model, chosen, names)
-        told.append(written)
-        return done
-
-    def use(predictor: Predictor, here: Source, done: Diagnosis) -> ProposeResult:
-        content = collect(predictor, done)
-        return ProposeResult.of(proposal_documents(told[-1], here, predictor, done, content), "propose")
-
-    return on_predictor(source, comm, chosen.level, progress, work, use)
+    job = ProposalJob(source, source.model, chosen, tuple(names))
+    return ProposeResult.of(job.made(comm, progress).documents, "propose")
 
 
 def explore(
@@ -290,7 +264,7 @@ def _inputs(scene: SceneLike, measurement: MeasurementLike, comm: Comm) -> tuple
     else:
         path = Path(measurement)
         seen = on_root(comm, lambda: Measurement.read(path))
-    return identify_run.fitting(body, seen, comm)
+    return fitting(body, seen, comm)
 
 
 def _source(
@@ -315,16 +289,5 @@ def _source(
     return Source(*files, body, seen, begun, held, tuple(free), (), tuple(effects))
 
 
-def _diagnosed(
-    command: str,
-    source: Source,
-    comm: Comm,
-    level: int | None,
-    progress: Progress | None,
-    work: Callable[[Predictor, Source], Diagnosis],
-) -> DiagnosisResult:
-    def use(predictor: Predictor, here: Source, done: Diagnosis) -> DiagnosisResult:
-        content: dict[str, Any] = collect(predictor, done)
-        return DiagnosisResult.of(diagnosis_documents(here, done, content), command)
-
-    return on_predictor(source, comm, level, progress, work, use)
+def _done(job: ComparisonJob, comm: Comm, progress: Progress | None) -> DiagnosisResult:
+    return DiagnosisResult.of(job.made(comm, progress).documents, job.command)

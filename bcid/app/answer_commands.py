@@ -6,7 +6,7 @@ import argparse
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from bcid.app.console import beside_the_result, draw, finish, progress_of, tell
 from bcid.app.flags import given, made
@@ -19,6 +19,10 @@ from bcid.base.run_folder import RunFolder
 from bcid.base.shipped import shipped
 from bcid.results.diagnosis_record import DiagnosisRecord
 from bcid.results.run_documents import read_record
+
+if TYPE_CHECKING:
+    from bcid.search.answer.job import Job
+    from bcid.search.answer.source import Source
 
 DEMO_SCENE = "examples/scenes/slab_explain.toml"
 DEMO_MEASUREMENT = "examples/measurements/slab-34-heavy"
@@ -57,15 +61,12 @@ def _demo_report(folder: Path) -> None:
 
 def identify(arguments: argparse.Namespace, comm: Comm) -> None:
     """`bcid identify`."""
-    from bcid.search.answer.identify_run import run_identification
+    from bcid.search.answer.identification_job import IdentificationJob
 
     options = made(IdentifyOptions, arguments, {"stages": _stages(arguments)})
-    scene, measurement, output = arguments.scene, arguments.measurement, arguments.output
     progress = progress_of(arguments, comm.rank)
-    folder = run_identification(
-        scene, measurement, output, options, comm, progress, arguments.overwrite, arguments.refine
-    )
-    finish(folder, arguments, comm, progress)
+    job = IdentificationJob.of_files(arguments.scene, arguments.measurement, options, comm, arguments.refine)
+    _run(job, arguments.output, arguments, comm, progress)
 
 
 def _stages(arguments: argparse.Namespace) -> StageOptions | None:
@@ -79,35 +80,51 @@ def _stages(arguments: argparse.Namespace) -> StageOptions | None:
 
 def compare(arguments: argparse.Namespace, comm: Comm) -> None:
     """`bcid compare`."""
-    from bcid.search.answer.compare_runs import run_compare
+    from bcid.search.answer.comparison_job import compare_job
 
     progress = progress_of(arguments, comm.rank)
-    common = _common(arguments, comm, progress)
-    folder = run_compare(arguments.run_folder, _beside(arguments, "compare"), **common)
-    finish(folder, arguments, comm, progress)
+    job = compare_job(_source(arguments, comm), _level(arguments))
+    _run(job, _beside(arguments, "compare"), arguments, comm, progress)
 
 
 def diagnose(arguments: argparse.Namespace, comm: Comm) -> None:
     """`bcid diagnose`."""
-    from bcid.search.answer.compare_runs import run_diagnose
+    from bcid.search.answer.comparison_job import diagnose_job
 
     progress = progress_of(arguments, comm.rank)
-    common = _common(arguments, comm, progress) | given(ExplainOptions, arguments, ("only",))
-    folder = run_diagnose(arguments.run_folder, _beside(arguments, "diagnose"), **common)
-    finish(folder, arguments, comm, progress)
+    only = given(ExplainOptions, arguments, ("only",)).get("only")
+    job = diagnose_job(_source(arguments, comm), _level(arguments), only)
+    _run(job, _beside(arguments, "diagnose"), arguments, comm, progress)
 
 
 def fit(arguments: argparse.Namespace, comm: Comm) -> None:
     """`bcid fit`."""
-    from bcid.search.answer.compare_runs import run_fit
+    from bcid.search.answer.comparison_job import fit_job
 
     if not (arguments.add or arguments.free):
         raise InputError("fit: nothing to do; name an effect with --add (as --add gravity) or a number with --free")
-    chosen = {"add": arguments.add} | {name: all_names(getattr(arguments, name)) for name in ("free", "fixed")}
     progress = progress_of(arguments, comm.rank)
-    common = _common(arguments, comm, progress)
-    folder = run_fit(arguments.run_folder, arguments.output, **common, **chosen)
-    finish(folder, arguments, comm, progress)
+    free, fixed = (all_names(getattr(arguments, name)) for name in ("free", "fixed"))
+    job = fit_job(_source(arguments, comm), _level(arguments), arguments.add, free, fixed)
+    _run(job, arguments.output, arguments, comm, progress)
+
+
+def _source(arguments: argparse.Namespace, comm: Comm) -> Source:
+    """What an earlier run ended with."""
+    from bcid.search.answer.source import from_run
+
+    return from_run(arguments.run_folder, arguments.effects, comm)
+
+
+def _level(arguments: argparse.Namespace) -> int | None:
+    level: int | None = given(ExplainOptions, arguments, ("level",)).get("level")
+    return level
+
+
+def _run(job: Job, folder: Path, arguments: argparse.Namespace, comm: Comm, progress: Progress) -> None:
+    """Compute a job into a folder, and show what came out."""
+    made = job.run(folder, comm, progress, arguments.overwrite, getattr(arguments, "store", None))
+    finish(made, arguments, comm, progress)
 
 
 def explain(arguments: argparse.Namespace, comm: Comm) -> None:
@@ -157,36 +174,33 @@ def _proposed(
     run: Path, output: Path | None, folder: Path, arguments: argparse.Namespace, comm: Comm, progress: Progress
 ) -> None:
     """Search the grammar beside the model of a run, and tell what came out."""
-    from bcid.grammar.propose_run import run_propose
+    from bcid.grammar.proposal_job import ProposalJob
 
     names = () if arguments.command == "propose" else ("level",)
     options = ProposeOptions(**given(ProposeOptions, arguments, names))
-    files = run_propose(run, output, folder, comm, options, progress, arguments.overwrite, arguments.effects)
+    job = ProposalJob.of_run(run, output, comm, options, arguments.overwrite, arguments.effects)
+    job.run(folder, comm, progress, arguments.overwrite)
     finish(folder, arguments, comm, progress)
-    for file in files if comm.rank == 0 else ():
+    for file in job.files(folder) if comm.rank == 0 else ():
         tell(f"effect: {file} (use it with --effects {file})")
 
 
 def _explained(scene: Path, measurement: Path, arguments: argparse.Namespace, comm: Comm, progress: Progress) -> Path:
     """Run the whole loop; returns the run folder."""
-    from bcid.search.answer.compare_runs import run_explain
+    from bcid.search.answer.comparison_job import explain_job
+    from bcid.search.answer.source import from_files
 
-    options, files = made(ExplainOptions, arguments), getattr(arguments, "effects", [])
-    store = getattr(arguments, "store", None)
-    return run_explain(scene, measurement, arguments.output, options, comm, progress, arguments.overwrite, files, store)
+    source = from_files(scene, measurement, getattr(arguments, "effects", []), comm)
+    job = explain_job(source, made(ExplainOptions, arguments))
+    for text in source.measurement.remarks:
+        progress.say(f"look at this first: {text}")
+    return job.run(arguments.output, comm, progress, arguments.overwrite, getattr(arguments, "store", None))
 
 
 def _beside(arguments: argparse.Namespace, command: str) -> Path:
     run: Path = arguments.run_folder
     output: Path = arguments.output or run.with_name(f"{run.resolve().name}-{command}")
     return output
-
-
-def _common(arguments: argparse.Namespace, comm: Comm, progress: Progress) -> dict[str, Any]:
-    """What all jobs on a run take."""
-    common = {"comm": comm, "progress": progress, "overwrite": arguments.overwrite}
-    more = {"files": arguments.effects, "store": arguments.store}
-    return common | given(ExplainOptions, arguments, ("level",)) | more
 
 
 def explore(arguments: argparse.Namespace, comm: Comm) -> None:

@@ -23,7 +23,7 @@ def check(arguments: argparse.Namespace, comm: Comm) -> None:
     if target is not None and target.suffix.lower() != ".png":
         raise InputError(f"--output '{target}': the picture is a PNG file; name it {target.with_suffix('.png').name}")
     # PETSc begins, with collective calls, when this is imported: on all ranks or none.
-    import_module("bcid.search.answer.identify_run")
+    import_module("bcid.search.answer.identification_job")
     on_root(comm, lambda: _checked(arguments.scene, target))
 
 
@@ -42,7 +42,7 @@ def _checked(path: Path, target: Path | None) -> None:
 
 def _draw(found: SceneCheck, target: Path) -> None:
     """The picture; what draws may be missing, or have no display to draw on."""
-    from bcid.search.answer.identify_run import body_parts
+    from bcid.search.answer.identification_job import body_parts
 
     scene, mesh = found.scene, found.mesh
     try:

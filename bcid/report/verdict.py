@@ -29,6 +29,7 @@ class Verdict:
 
     Attributes:
         sentence: the whole in one sentence.
+        lead: what follows from it.
         numbers: name and value of what a reader looks for first.
         doubts: what must be known beside it.
     """
@@ -36,6 +37,7 @@ class Verdict:
     sentence: str
     numbers: list[tuple[str, str]] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)
+    lead: str = ""
 
 
 def verdict(found: Found) -> Verdict:
@@ -62,11 +64,12 @@ def _asks(found: Found) -> bool:
 
 
 def _diagnosis(found: Found, d: DiagnosisRecord) -> Verdict:
-    sentence, *more = diagnosis_words.conclusion(d)
+    first, *more = diagnosis_words.conclusion(d)
+    sentence, stop, lead = first.partition(". ")
     texts = (*more, *diagnosis_words.warnings(d), *diagnosis_words.open_questions(d))
     doubts = [_capital(text.strip()) for text in texts]
     notes = [*_remarks(d.remarks), *(f"Note: {warning}" for warning in d.warnings)]
-    return Verdict(sentence, _numbers(found, d), [*doubts, *notes])
+    return Verdict(sentence + stop.strip(), _numbers(found, d), [*doubts, *notes], lead)
 
 
 def _numbers(found: Found, d: DiagnosisRecord) -> list[tuple[str, str]]:

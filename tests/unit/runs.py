@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 import xarray as xr
 
 from bcid.base.run_folder import RunFolder, sealed
@@ -250,6 +253,29 @@ def explored(path: Path) -> Path:
     run.write_text("summary.txt", "Anchored patches of slab: {left}\n")
     run.finish({})
     return path
+
+
+class Played:
+    """A job whose run folder is there already, or is made by `work`."""
+
+    def __init__(self, work: Callable[[Path], Path], files: Sequence[Path] = ()) -> None:
+        self.work, self.made = work, list(files)
+
+    def run(self, folder: Path, *_: Any) -> Path:
+        return self.work(folder)
+
+    def files(self, folder: Path) -> list[Path]:
+        return [folder / file for file in self.made]
+
+
+def play(monkeypatch: pytest.MonkeyPatch, job: Played) -> None:
+    """Let a job stand for what `identify`, `compare`, `diagnose`, `fit` and `explain` compute, whatever their files hold."""
+    source = SimpleNamespace(measurement=SimpleNamespace(remarks=()))
+    for name in ("from_files", "from_run"):
+        monkeypatch.setattr(f"bcid.search.answer.source.{name}", lambda *_: source)
+    for name in ("compare", "diagnose", "fit", "explain"):
+        monkeypatch.setattr(f"bcid.search.answer.comparison_job.{name}_job", lambda *_: job)
+    monkeypatch.setattr("bcid.search.answer.identification_job.IdentificationJob.of_files", lambda *_: job)
 
 
 def seal(folder: Path, *names: str) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import runs
 
 from bcid import Measurement
 from bcid.app import answer_commands, cli, console
@@ -189,7 +190,7 @@ def identified(folder: Path, scene: Path = SLAB, state: str = "finished", **reco
     source = from_files(scene, SEEN, (), MPI.COMM_SELF)
     run = RunFolder.start(folder, "identify", source.inputs({}))
     run.record["names"] = {"scene": str(scene), "measurement": str(SEEN)}
-    run.write_json("identification.json", {"anchored": ["1", "2"]})
+    run.write_json("identification.json", runs.identification() | {"anchored": ["1", "2"]})
     run.finish({})
     run.write_json("run.json", sealed(run.record | {"state": state} | record))
     return folder
@@ -251,12 +252,12 @@ def test_an_effect_file_is_run_once(tmp_path: Path) -> None:
 
 
 JOBS = {
-    "demo": ("bcid.search.answer.compare_runs.run_explain", []),
-    "identify": ("bcid.search.answer.identify_run.run_identification", ["scene.toml", "seen", "-o", "run"]),
-    "explain": ("bcid.search.answer.compare_runs.run_explain", ["scene.toml", "seen", "-o", "run"]),
-    "compare": ("bcid.search.answer.compare_runs.run_compare", ["run"]),
-    "diagnose": ("bcid.search.answer.compare_runs.run_diagnose", ["run"]),
-    "fit": ("bcid.search.answer.compare_runs.run_fit", ["run", "--add", "gravity", "-o", "run2"]),
+    "demo": [],
+    "identify": ["scene.toml", "seen", "-o", "run"],
+    "explain": ["scene.toml", "seen", "-o", "run"],
+    "compare": ["run"],
+    "diagnose": ["run"],
+    "fit": ["run", "--add", "gravity", "-o", "run2"],
 }
 
 
@@ -265,16 +266,13 @@ def test_a_command_counts_the_seconds_from_its_start(
     command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """What is said while drawing too: one object speaks for the whole command."""
-    job, arguments = JOBS[command]
+    arguments = JOBS[command]
     run = RunFolder.start(tmp_path / "made", command, {})
     run.write_text("summary.txt", "the result\n\nmore\n")
-    run.write_json("diagnosis.json", {"ladder": [], "length_unit": "mm", "noise_rms": 0.2, "verdict": "none"})
+    run.write_json("diagnosis.json", runs.diagnosis() | {"verdict": "none"})
     run.finish({})
     drawn: list[Path] = []
     made: list[Lines] = []
-
-    def done(*_: Any, **__: Any) -> Path:
-        return run.path
 
     def counted() -> Lines:
         made.append(Lines())
@@ -284,7 +282,7 @@ def test_a_command_counts_the_seconds_from_its_start(
         assert progress is made[0]
         drawn.append(folder)
 
-    monkeypatch.setattr(job, done)
+    runs.play(monkeypatch, runs.Played(lambda _: run.path))
     monkeypatch.setattr(console, "progress_on", counted)
     for module in (console, answer_commands):
         monkeypatch.setattr(module, "draw", draw)

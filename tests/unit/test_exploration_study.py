@@ -137,7 +137,7 @@ def test_a_study_that_was_stopped_goes_on(tmp_path: Path, coarse_scene: Path) ->
 
     def run() -> dict[str, Any]:
         run_study(tmp_path / "study", extent, 0, Workers(), scene_file=coarse_scene)
-        found: dict[str, Any] = json.loads((tmp_path / "study/exploration.json").read_text(encoding="utf-8"))
+        found: dict[str, Any] = json.loads((tmp_path / "study/trials.json").read_text(encoding="utf-8"))
         return found
 
     whole = run()

@@ -12,7 +12,7 @@ from bcid.inference import nuisance_text
 from bcid.inference.error_covariance import NuisanceEstimate
 from bcid.results.summary import identification_summary
 from bcid.search.answer.identification import Identification
-from bcid.search.answer.identify_run import inputs_in_words
+from bcid.search.answer.identification_job import inputs_in_words
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -158,7 +158,7 @@ def test_import_is_light() -> None:
 
 def test_what_explains_is_loaded_without_a_slow_library() -> None:
     """Every command and every child of a study pays for it."""
-    code = "import bcid.search.answer.compare_runs, sys; print('scipy.stats' in sys.modules)"
+    code = "import bcid.search.answer.comparison_job, sys; print('scipy.stats' in sys.modules)"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.split() == ["False"]
 

@@ -29,8 +29,8 @@ from bcid.grammar.effect_file import made, source
 from bcid.grammar.energies import directions, energies
 from bcid.grammar.family import Family
 from bcid.grammar.other_laws import other_laws
+from bcid.grammar.proposal_job import effect_names
 from bcid.grammar.propose import Proposal
-from bcid.grammar.propose_run import effect_names
 from bcid.grammar.replaced_law import APART, COUPLED, ReplacedLaw
 from bcid.inference.continuation import ContinuationError
 from bcid.measurement import Measurement
@@ -419,7 +419,7 @@ def test_killed_while_it_proposes_explain_goes_on_there(
     monkeypatch.chdir(tmp_path)
     run = RunFolder.start("run", "explain", {"options": json.loads(json.dumps(asdict(ExplainOptions())))})
     run.record["names"] = {"scene": "scene.toml", "measurement": "seen"}
-    run.write_json("diagnosis.json", {"verdict": verdict})
+    run.write_json("diagnosis.json", runs.diagnosis() | {"verdict": verdict})
     run.write_text("summary.txt", "the result\n")
     run.finish({})
     if ended:
@@ -427,19 +427,19 @@ def test_killed_while_it_proposes_explain_goes_on_there(
         begun.finish({}) if ended == "finished" else begun.fail("killed")
     done: list[str] = []
 
-    def explained(*_: Any) -> Path:
+    def explained(_: Path) -> Path:
         done.append("explained")
         return Path("run")
 
-    def proposed(run: Path, output: Path | None, folder: Path, *_: Any) -> list[Path]:
+    def proposed(folder: Path) -> Path:
         done.append("proposed")
         made = RunFolder.start(tmp_path / folder, "propose", {}, overwrite=True)
         made.write_text("summary.txt", "Proposed: springs\n")
         made.finish({})
-        return []
+        return folder
 
-    monkeypatch.setattr("bcid.search.answer.compare_runs.run_explain", explained)
-    monkeypatch.setattr("bcid.grammar.propose_run.run_propose", proposed)
+    runs.play(monkeypatch, runs.Played(explained))
+    monkeypatch.setattr("bcid.grammar.proposal_job.ProposalJob.of_run", lambda *_: runs.Played(proposed))
     assert main(["explain", "scene.toml", "seen", "-o", "run", "--quiet", "--no-picture", *more]) == 0
     assert ("explained" not in done) == known
     assert ("proposed" in done) == (verdict == "unknown" and "--no-propose" not in more)
@@ -452,21 +452,21 @@ def test_explain_goes_on_where_no_known_effect_explains(
 
     def finished(folder: Path, command: str, verdict: str, summary: str) -> None:
         run = RunFolder.start(folder, command, {}, overwrite=True)
-        run.write_json("diagnosis.json", {"verdict": verdict})
+        run.write_json("diagnosis.json", runs.diagnosis() | {"verdict": verdict})
         run.write_text("summary.txt", summary)
         run.finish({})
 
-    def explained(*_: Any, **__: Any) -> Path:
-        return tmp_path / "made"
-
-    def proposed(run: Path, output: Path | None, folder: Path, *_: Any) -> list[Path]:
+    def proposed(folder: Path) -> Path:
         asked.append(folder)
         finished(folder, "propose", "unknown", "Proposed: springs\n")
-        assert (run, output) == (tmp_path / "made", None)
-        return [folder / "proposed/proposed_term.py"]
+        return folder
 
-    monkeypatch.setattr("bcid.search.answer.compare_runs.run_explain", explained)
-    monkeypatch.setattr("bcid.grammar.propose_run.run_propose", proposed)
+    def of_run(run: Path, output: Path | None, *_: Any) -> runs.Played:
+        assert (run, output) == (tmp_path / "made", None)
+        return runs.Played(proposed, [Path("proposed/proposed_term.py")])
+
+    runs.play(monkeypatch, runs.Played(lambda _: tmp_path / "made"))
+    monkeypatch.setattr("bcid.grammar.proposal_job.ProposalJob.of_run", of_run)
     words = ["explain", "scene.toml", "seen", "-o", "run", "--quiet", "--no-picture"]
     for verdict, more, expected in (("gravity", [], 0), ("unknown", ["--no-propose"], 0), ("unknown", [], 1)):
         finished(tmp_path / "made", "explain", verdict, "the result\n")

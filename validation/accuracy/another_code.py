@@ -30,8 +30,8 @@ from bcid.forms.model import Model, check_physics
 from bcid.forms.simulate import recorded
 from bcid.measurement import Action
 from bcid.scene.rotation import as_quaternion
-from bcid.search.answer.compare_runs import run_explain
 from validation.accuracy.tetrahedra import Array, Body, Mesh
+from validation.explained import run_explain
 from validation.synthetic.amounts import adopted
 
 SCENES = Path(__file__).parents[2] / "tests/data/lab2/scenes"

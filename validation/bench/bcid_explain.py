@@ -16,8 +16,8 @@ import bcid
 from bcid.base.options import ExplainOptions
 from bcid.base.run_folder import RunFolder
 from bcid.base.shipped import shipped
-from bcid.search.answer.compare_runs import run_explain
 from validation.bench.bench_slab import EXPLAINED, FOLDER
+from validation.explained import run_explain
 
 TOLD = ("verdict", "verdict_probability", "anchored", "anchors_probability", "rms", "noise_rms")
 # The effects that the reduced form looks for.

@@ -10,7 +10,7 @@ is stiffer than its scene.
 
 RUN/predictions/         what every set predicts for every pull, computed first;  precomputed/ one file for each part of that
 RUN/results/NAME.json    one trial
-RUN/exploration.json  table.txt  page.md  picture.png
+RUN/trials.json  table.txt  page.md  picture.png
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ _MAKES = (
     "precomputed/",
     "results/",
     "logs/",
-    "exploration.json",
+    "trials.json",
     "table.txt",
     "page.md",
     "picture.png",
@@ -393,7 +393,7 @@ def _conclude(run: RunFolder | None, extent: ExplorationExtent) -> None:
     assert run is not None
     made = results(run.path, extent)
     found = scores(made)
-    run.write_json("exploration.json", found)
+    run.write_json("trials.json", found)
     run.write_text("table.txt", table(found))
     run.write_text("page.md", page(made, call_cost(run.path), _draw(run, made)))
     run.finish({"calibration": found["calibration"]})

@@ -48,7 +48,7 @@ def explained(folder: Path, store: Path | None = None) -> dict[str, Any]:
     from mpi4py import MPI
 
     from bcid.base.progress import Silent
-    from bcid.search.answer.compare_runs import run_explain
+    from validation.explained import run_explain
 
     began, began_cpu = time.perf_counter(), time.process_time()
     shutil.rmtree(folder / "run", ignore_errors=True)

@@ -32,7 +32,7 @@ from validation.synthetic.score import scores
 from validation.synthetic.score_table import table
 
 MAKE = "validation.synthetic.truth:make"
-DIAGNOSE = "bcid.search.answer.compare_runs:run_explain"
+DIAGNOSE = "validation.explained:run_explain"
 _MAKES = ("cases/", "results/", "logs/", "hidden.json", "table.txt", "goals.png", "degradation.png")
 # CPU seconds that the truth of a case may take besides: with cubic elements, drawn anew where it cannot be computed.
 _MAKING = 900.0

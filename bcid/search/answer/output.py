@@ -38,7 +38,7 @@ from bcid.search.answer.adequacy import groups, judge
 from bcid.search.answer.diagnosis import Diagnosis
 from bcid.search.answer.evidence_split import hypothesis_row
 from bcid.search.answer.explanation import Explanation, ModelStep, explains
-from bcid.search.answer.identify_run import body_parts, inputs_in_words, left_out_row
+from bcid.search.answer.identification_job import body_parts, inputs_in_words, left_out_row
 from bcid.search.answer.source import Source, stored_effect
 from bcid.search.answer.where import MissingForce, Place
 from bcid.search.fitting import courses, curvature

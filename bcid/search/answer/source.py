@@ -20,7 +20,7 @@ from bcid.measurement import Measurement
 from bcid.results.identification_record import IdentificationRecord
 from bcid.results.run_documents import read_record
 from bcid.scene import Scene
-from bcid.search.answer.identify_run import fingerprints, read_inputs
+from bcid.search.answer.identification_job import fingerprints, read_inputs
 
 
 @dataclass(frozen=True)

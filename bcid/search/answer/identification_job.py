@@ -1,9 +1,9 @@
-"""`bcid identify` as a job: read, check, search, and write everything into a run folder."""
+"""`bcid identify` as a job: read, check, search, and what a run folder holds of it."""
 
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,6 @@ import xarray as xr
 from bcid.base.collective import Comm, on_root
 from bcid.base.options import IdentifyOptions
 from bcid.base.progress import Progress, Silent
-from bcid.base.run_folder import RunFolder, running
 from bcid.base.units import percent
 from bcid.forms.driving import driven_by_points
 from bcid.forms.forward import check_geometry
@@ -29,52 +28,86 @@ from bcid.measurement.compared import LeftOut, in_plane, pooled, thinned
 from bcid.predict.levels import pair
 from bcid.predict.store import CHECKPOINT, PredictionStore
 from bcid.results.common_rows import ComparedRow, LeftOutRow
-from bcid.results.run_documents import write_documents
 from bcid.results.summary import identification_summary
 from bcid.scene import Scene
 from bcid.search.answer.identification import Identification
+from bcid.search.answer.job import Job, Made
 from bcid.search.answer.refine import Refinement, check_rounds, identify_refined
 from bcid.search.answer.surface_rounds import settled
 
-MAKES = ("identification.json", "prediction.nc", "body.nc", "summary.txt", "picture.png", "paraview/", f"{CHECKPOINT}/")
 
+@dataclass(frozen=True)
+class IdentificationJob(Job):
+    """Which patches are anchored.
 
-def run_identification(
-    scene_file: Path,
-    measurement_file: Path,
-    folder: Path,
-    options: IdentifyOptions,
-    comm: Comm,
-    progress: Progress | None = None,
-    overwrite: bool = False,
-    refine: int = 0,
-) -> Path:
-    """Identify the anchored patches and write the run folder; collective on `comm`. Returns the folder.
-
-    Everything is validated before the folder is touched. A run that was interrupted goes on where it was. `refine` is how
-    many times patches that leave a doubt are halved (see `bcid.search.answer.refine`).
-
-    Raises:
-        BcidError: see `bcid.search.identify.identify`, `Scene.read`, `Measurement.read` and `RunFolder.start`.
+    Attributes:
+        scene, measurement: as they are compared, see `fitting`.
+        options: how to search.
+        refine: how many times patches that leave a doubt are halved (see `bcid.search.answer.refine`).
+        model: the scene's by default.
+        names: the files of scene and measurement.
     """
-    progress = progress or Silent()
-    scene, measurement = read_inputs(scene_file, measurement_file, comm)
-    options.check(scene)
-    check_rounds(scene, refine)
-    check_geometry(scene, first_level(scene, 0, len(scene.levels) - 1, comm)[0], comm)
-    inputs = fingerprints(scene, measurement) | {"options": asdict(options), "refine": refine}
-    names = {"scene": str(scene_file), "measurement": str(measurement_file)}
-    with running(comm, folder, "identify", inputs, MAKES, overwrite) as run:
-        store = PredictionStore.of_run(folder, comm, inputs, progress)
 
-        def work(seen: Measurement) -> None:
-            done, seen = identified(scene, seen, comm, options, refine, None, progress, store)
+    scene: Scene
+    measurement: Measurement
+    options: IdentifyOptions | None = None
+    refine: int = 0
+    model: Model | None = None
+    names: tuple[str, str] = ("", "")
+
+    command = "identify"
+    makes = (
+        "identification.json",
+        "prediction.nc",
+        "body.nc",
+        "summary.txt",
+        "picture.png",
+        "paraview/",
+        f"{CHECKPOINT}/",
+    )
+    main, told = "identification.json", ("anchored", "probability", "rms", "noise_rms", "certified")
+
+    @classmethod
+    def of_files(
+        cls, scene_file: Path, measurement_file: Path, options: IdentifyOptions, comm: Comm, refine: int = 0
+    ) -> IdentificationJob:
+        """Of files, with everything validated; collective on `comm`.
+
+        Raises:
+            InputError: a file cannot be used, or options do not fit; see `Scene.read`, `Measurement.read`.
+        """
+        scene, measurement = read_inputs(scene_file, measurement_file, comm)
+        options.check(scene)
+        check_rounds(scene, refine)
+        check_geometry(scene, first_level(scene, 0, len(scene.levels) - 1, comm)[0], comm)
+        return cls(scene, measurement, options, refine, names=(str(scene_file), str(measurement_file)))
+
+    @property
+    def inputs(self) -> dict[str, Any]:
+        """Fingerprints and options."""
+        return fingerprints(self.scene, self.measurement) | {
+            "options": asdict(self.options or IdentifyOptions()),
+            "refine": self.refine,
+        }
+
+    def made(self, comm: Comm, progress: Progress | None = None, store: PredictionStore | None = None) -> Made:
+        """The anchored patches; collective on `comm`."""
+
+        def work(seen: Measurement) -> Made:
+            done, seen = identified(self.scene, seen, comm, self.options, self.refine, self.model, progress, store)
             mesh = working_mesh(done, comm)
-            on_root(comm, lambda: _write(run, seen, done, mesh, names, comm.size))
+            stages = self.options.stages if self.options else None
+            notes = {
+                "names": dict(zip(("scene", "measurement"), self.names, strict=True)),
+                "ranks": comm.size,
+                "seed": stages.seed if stages else None,
+                "evaluations": {str(level): round(count, 3) for level, count in done.evaluations.items()},
+                "search_seconds": round(done.seconds, 3),
+                "mesh": mesh.fingerprint(),
+            }
+            return Made(documents(seen, done, mesh), notes)
 
-        truncate_to_converged(measurement, work)
-        store.clear()
-    return folder
+        return truncate_to_converged(self.measurement, work)
 
 
 def identified(
@@ -171,24 +204,6 @@ def documents(measurement: Measurement, done: Refinement, mesh: BodyMesh) -> dic
 def left_out_row(found: LeftOut | None) -> LeftOutRow | None:
     """As results hold it."""
     return None if found is None else LeftOutRow(frames=found.frames, rms=found.rms, compared_rms=found.compared)
-
-
-def _write(
-    run: RunFolder | None, measurement: Measurement, done: Refinement, mesh: BodyMesh, names: dict[str, str], ranks: int
-) -> None:
-    assert run is not None
-    found = documents(measurement, done, mesh)
-    write_documents(run, found)
-    result: Identification = found["identification.json"]
-    stages = run.record["inputs"]["options"]["stages"] or {}
-    run.record |= {"names": names, "ranks": ranks, "seed": stages.get("seed")}
-    run.record |= {
-        "evaluations": {str(level): count for level, count in result.evaluations.items()},
-        "search_seconds": round(done.seconds, 3),
-        "mesh": mesh.fingerprint(),
-    }
-    told = result.to_json()
-    run.finish({key: told[key] for key in ("anchored", "probability", "rms", "noise_rms", "certified")})
 
 
 def prediction_dataset(scene: Scene, measurement: Measurement, found: Identification) -> xr.Dataset:
