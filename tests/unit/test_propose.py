@@ -38,6 +38,7 @@ from bcid.predict.predictor import Predictor
 from bcid.report import tables
 from bcid.report.found import Found
 from bcid.report.page import write_report
+from bcid.results.proposal_record import ProposalRecord
 from bcid.scene import Scene
 from bcid.scene.motions import motion
 from bcid.search.answer.source import stored_effect
@@ -189,7 +190,7 @@ def test_what_may_be_missing_besides_is_told(unknown: float, told: str) -> None:
     entry: Any = SimpleNamespace()
     assert told in proposal_text._left(Proposal(explanation, (entry,), (), 1))
     document = PROPOSAL | {"complete": unknown < 0.05, "discrepancy_probability": unknown}
-    assert told.lower() in tables.proposal_table(document).caption.lower()
+    assert told.lower() in tables.proposal_table(ProposalRecord.from_json(document)).caption.lower()
 
 
 PROPOSAL: dict[str, Any] = {
@@ -204,7 +205,7 @@ PROPOSAL: dict[str, Any] = {
             },
         }
     ],
-    "complete": True, "discrepancy_probability": 0.0, "explained_fraction": 0.9999, "scored": 2091,
+    "complete": True, "discrepancy_probability": 0.0, "explained_fraction": 0.9999, "scored": 2091, "law_form": None,
     "path": [
         {
             "beside": "neo_hooke", "selected": "spring_at_a_spot", "rms": 0.204,
@@ -219,11 +220,11 @@ PROPOSAL: dict[str, Any] = {
 
 
 def test_tables_tell_numbers_with_intervals_and_what_competed() -> None:
-    told = tables.proposal_table(PROPOSAL)
+    told = tables.proposal_table(ProposalRecord.from_json(PROPOSAL))
     assert told.rows[0][:3] == ["spring at a spot", "w k/2 u^2", "stiffness"]
     assert told.rows[0][3] == "340000 ± 57000 Pa/m"
     assert told.rows[1][2:4] == ["cx", "44.30 ± 0.98 mm"]
-    path = tables.path_table(PROPOSAL)
+    path = tables.path_table(ProposalRecord.from_json(PROPOSAL))
     assert [row[3] for row in path.rows] == ["+0.0", "−1032.0", ""]
     assert path.rows[0][4] == "0.204 mm when fitted"
     assert path.strong == {0}
