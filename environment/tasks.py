@@ -27,7 +27,7 @@ SPREAD = ["-n", "2", "--dist", "loadfile", "--no-loadscope-reorder", "--duration
 # that is gone ends by the timeout. mpirun kills the others when one ends with an error: they get five seconds to have their say.
 ONE_RANK = """
 rank=${OMPI_COMM_WORLD_RANK:-${PMI_RANK:-0}}
-test() { python $COVERED -m pytest -p no:cacheprovider -o timeout=120 -o timeout_method=thread "$@"; }
+test() { python -m pytest -p no:cacheprovider -o timeout=120 -o timeout_method=thread "$@"; }
 if [ "$rank" = 0 ]; then test "$@"; else said=$(test "$@" 2>&1); fi && exit
 [ "$rank" = 0 ] || tail -n 40 <<<"$said" | sed "s/^/rank $rank: /" >&2
 sleep 5
@@ -36,7 +36,7 @@ exit 1
 
 
 # Line coverage of a whole run, of workers, commands and ranks as well; the threshold is in pyproject.toml.
-COVERED = ["-m", "coverage", "run"]
+COVERED = ("-m", "coverage", "run")
 REPORT = "python -m coverage combine -q && python -m coverage report --format total"
 
 
@@ -45,11 +45,10 @@ def test(args: list[str]) -> bool:
     several = SPREAD if len(os.sched_getaffinity(0)) > 1 else []
     folders = [folder for folder in FOLDERS if (ROOT / folder).is_dir()]
     if not args:
-        os.environ["COVERED"] = " ".join(COVERED)
         call(["python", "-m", "coverage", "erase"])
         # On one rank the parallel tests need no mpirun.
         first = {"serial": ["python", *COVERED, "-m", "pytest", PARALLEL, *folders, *several]}
-        return run("test", first | on_ranks([2, 3], [PARALLEL]) | {"coverage": ["bash", "-c", REPORT]})
+        return run("test", first | on_ranks([2, 3], [PARALLEL], COVERED) | {"coverage": ["bash", "-c", REPORT]})
     if args[0] == "--long":
         return run("test", {"long": ["python", "-m", "pytest", "tests/long", *several, *args[1:]]})
     paths, options = ([arg for arg in args if arg.startswith("tests/") == path] for path in (True, False))
@@ -59,9 +58,10 @@ def test(args: list[str]) -> bool:
     return run("test", steps | (on_ranks([1, 2, 3], [*parallel, *options]) if parallel else {}))
 
 
-def on_ranks(counts: list[int], args: list[str]) -> dict[str, list[str]]:
+def on_ranks(counts: list[int], args: list[str], how: tuple[str, ...] = ()) -> dict[str, list[str]]:
     """The steps that run pytest on so many ranks each."""
-    return {f"{n} rank(s)": ["mpirun", "-n", str(n), "bash", "-c", ONE_RANK, "rank", *args] for n in counts}
+    script = ONE_RANK.replace("python", " ".join(["python", *how]))
+    return {f"{n} rank(s)": ["mpirun", "-n", str(n), "bash", "-c", script, "rank", *args] for n in counts}
 
 
 def run(task: str, steps: dict[str, list[str]]) -> bool:
