@@ -12,14 +12,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 COMMANDS = {
     "lint": ["ruff check .", "ruff format --check .", "mypy"],
-    "coverage": [
-        "coverage erase",
-        "coverage run -m pytest tests --ignore tests/parallel -n 2 --dist loadfile",
-        "mpirun -n 2 coverage run -m pytest -q -p no:cacheprovider tests/parallel",
-        "coverage combine -q",
-        "coverage html",
-        "coverage report --skip-covered --sort cover",
-    ],
+    "coverage": ["python -m coverage html -q", "python -m coverage report --skip-covered --sort cover"],
     "docs": ["python -m sphinx -q -W --keep-going docs build/docs"],
 }
 
@@ -42,26 +35,33 @@ exit 1
 """
 
 
+# Line coverage of a whole run, of workers, commands and ranks as well; the threshold is in pyproject.toml.
+COVERED = ("-m", "coverage", "run")
+REPORT = "python -m coverage combine -q && python -m coverage report --format total"
+
+
 def test(args: list[str]) -> bool:
-    """All tests; with arguments pytest with these, and on ranks only what is named."""
-    paths = [arg for arg in args if arg.startswith("tests/")]
-    options = [arg for arg in args if arg not in paths]
-    parallel = [path for path in paths if path.startswith(PARALLEL)]
-    serial = [path for path in paths if path not in parallel]
-    spread, counts = [], [1, 2, 3]
-    if not paths:
-        serial = [folder for folder in FOLDERS if (ROOT / folder).is_dir()]
+    """All tests but the long ones, and their coverage; with arguments pytest with these, and on ranks only what is named."""
+    several = SPREAD if len(os.sched_getaffinity(0)) > 1 else []
+    folders = [folder for folder in FOLDERS if (ROOT / folder).is_dir()]
     if not args:
+        call(["python", "-m", "coverage", "erase"])
         # On one rank the parallel tests need no mpirun.
-        serial, parallel, counts = [PARALLEL, *serial], [PARALLEL], [2, 3]
-        spread = SPREAD if len(os.sched_getaffinity(0)) > 1 else []
-    steps = {"serial": ["python", "-m", "pytest", *serial, *spread, *options]} if serial else {}
-    if parallel:
-        steps |= {
-            f"{n} rank(s)": ["mpirun", "-n", str(n), "bash", "-c", ONE_RANK, "rank", *parallel, *options]
-            for n in counts
-        }
-    return run("test", steps)
+        first = {"serial": ["python", *COVERED, "-m", "pytest", PARALLEL, *folders, *several]}
+        return run("test", first | on_ranks([2, 3], [PARALLEL], COVERED) | {"coverage": ["bash", "-c", REPORT]})
+    if args[0] == "--long":
+        return run("test", {"long": ["python", "-m", "pytest", "tests/long", *several, *args[1:]]})
+    paths, options = ([arg for arg in args if arg.startswith("tests/") == path] for path in (True, False))
+    parallel = [path for path in paths if path.startswith(PARALLEL)]
+    serial = [path for path in paths if path not in parallel] if paths else folders
+    steps = {"serial": ["python", "-m", "pytest", *serial, *options]} if serial else {}
+    return run("test", steps | (on_ranks([1, 2, 3], [*parallel, *options]) if parallel else {}))
+
+
+def on_ranks(counts: list[int], args: list[str], how: tuple[str, ...] = ()) -> dict[str, list[str]]:
+    """The steps that run pytest on so many ranks each."""
+    script = ONE_RANK.replace("python", " ".join(["python", *how]))
+    return {f"{n} rank(s)": ["mpirun", "-n", str(n), "bash", "-c", script, "rank", *args] for n in counts}
 
 
 def run(task: str, steps: dict[str, list[str]]) -> bool:

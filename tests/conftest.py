@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
@@ -17,6 +18,9 @@ if TYPE_CHECKING:
 
 PROJECT = Path(__file__).resolve().parents[1]
 Array = NDArray[np.float64]
+# How fast a machine is fails no test.
+settings.register_profile("any-machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("any-machine")
 
 
 @pytest.fixture(scope="session")
@@ -126,14 +130,24 @@ directions = { out = [1, 0, 0], lift = [0, 1, 0] }
 """
 
 
-@pytest.fixture
-def coarse_scene(tmp_path: Path, project: Path) -> Path:
-    """The slab with one level, of 17 mm, four patches, and two directions to pull in."""
+def _slab(folder: Path, project: Path, size: str) -> Path:
     text = (project / "examples/scenes/slab.toml").read_text(encoding="utf-8")
     text = text.replace("../../meshes/geo/slab.geo", str(project / "meshes/geo/slab.geo"))
     first, _, rest = text.partition("[material]")
-    text = first.split("[[levels]]")[0] + '[[levels]]\nelement_size = "17 mm"\ndegree = 2\n\n[material]' + rest
+    text = first.split("[[levels]]")[0] + f'[[levels]]\nelement_size = "{size}"\ndegree = 2\n\n[material]' + rest
     text = re.sub(r'(?m)^"([5678])" = "patch_\1"\n', "", text)
-    file = tmp_path / "slab.toml"
+    file = folder / "slab.toml"
     file.write_text(text + _EXPLORE, encoding="utf-8")
     return file
+
+
+@pytest.fixture
+def coarse_scene(tmp_path: Path, project: Path) -> Path:
+    """The slab with one level, of 17 mm, four patches, and two directions to pull in."""
+    return _slab(tmp_path, project, "17 mm")
+
+
+@pytest.fixture
+def coarser_scene(tmp_path: Path, project: Path) -> Path:
+    """The same with a level of 34 mm: pulls are predicted ten times as fast."""
+    return _slab(tmp_path, project, "34 mm")

@@ -36,7 +36,6 @@ from bcid.base.unpacked import stored_arrays
 # What a child is given of the environment: where its libraries are, and how it writes text. Nothing that loads plugins.
 _LIBRARIES = "LD_LIBRARY_PATH"
 _KEPT = (_LIBRARIES, "PYTHONHOME", "LANG", "LC_ALL", "LC_CTYPE")
-_COVERAGE = "COVERAGE_"
 # Of a child that reads a file, bytes of address space, and how much more a byte of the file may take.
 _SPACE = 2_000_000_000
 _PER_BYTE = 100
@@ -167,7 +166,7 @@ def _suffix(source: Path) -> str:
 
 def environment_of_child(folder: Path) -> dict[str, str]:
     """Of a child: no program is found by name, nothing is configured from the user's home, HDF5 loads no plugins."""
-    kept = {name: value for name, value in os.environ.items() if name in _KEPT or name.startswith(_COVERAGE)}
+    kept = {name: value for name, value in os.environ.items() if name in _KEPT}
     if _LIBRARIES in kept:
         # An empty entry is the folder that a process works in; importing OpenCV adds one.
         kept[_LIBRARIES] = os.pathsep.join(filter(os.path.isabs, kept[_LIBRARIES].split(os.pathsep)))

@@ -256,6 +256,7 @@ def test_a_simulated_measurement_is_the_same_everywhere(slab: Scene, measured: A
 @pytest.mark.parametrize("exhaustive", ["no", "yes"])
 def test_candidates_spread_over_ranks_give_the_same_ranking(slab: Scene, measured: Any, exhaustive: str) -> None:
     options = IdentifyOptions(exhaustive=exhaustive, level=0)
+    slab = replace(slab, patches={name: slab.patches[name] for name in "1347"})
     # Each rank reads the measurement as rank 0 has it: the input of one search is the same on all ranks.
     measurement = WORLD.bcast(measured, root=0)
     alone = identify(slab, measurement, MPI.COMM_SELF, options)
@@ -402,11 +403,11 @@ def test_the_grasp_may_be_held_without_anchors(slab: Scene) -> None:
 def test_an_exploration_does_not_depend_on_the_number_of_ranks(slab: Scene) -> None:
     directions = {"+x": (1.0, 0.0, 0.0), "+y": (0.0, 1.0, 0.0)}
     limits = Limits(0.008, amplitudes=(0.008,), directions=directions)
-    scene = replace(slab, patches={name: slab.patches[name] for name in "12345"}, limits=limits)
+    scene = replace(slab, patches={name: slab.patches[name] for name in "124"}, limits=limits)
 
     def explored(comm: Comm) -> Exploration:
         predictor, body = PullPredictor(scene, 0, comm), PullPredictor(scene, 0, MPI.COMM_SELF)
-        plan = ExploreOptions(noise=3e-3, budget=3, samples=100, grasps=("II",))
+        plan = ExploreOptions(noise=3e-3, budget=2, samples=100, grasps=("II",))
         found = explore(scene, Simulated(body, "12", 3e-3, 1), plan, predictor)
         predictor.destroy()
         body.destroy()
@@ -418,9 +419,9 @@ def test_an_exploration_does_not_depend_on_the_number_of_ranks(slab: Scene) -> N
     assert same_everywhere([s.expected for s in all_ranks.steps])
 
 
-def test_rival_effects_do_not_depend_on_the_ranks(coarse_scene: Path) -> None:
+def test_rival_effects_do_not_depend_on_the_ranks(coarser_scene: Path) -> None:
     """A weight that the scene does not know of: the same hypotheses and numbers on all ranks as on one."""
-    whole = Scene.read(coarse_scene)
+    whole = Scene.read(coarser_scene)
     scene = replace(whole, patches={name: whole.patches[name] for name in "34"})
     heavy = replace(scene, effects={"gravity": {"weight": "1500 N/m^3"}})
 

@@ -44,7 +44,8 @@ EVALUATIONS: dict[str, tuple[type, str]] = {
 @pytest.fixture(scope="module")
 def slab(project: Path) -> Scene:
     scene = Scene.read(project / "examples" / "scenes" / "slab.toml", physics=check_physics)
-    return replace(scene, levels=tuple(Level(1, size) for size in (0.05, 0.03)), noise_sigma=0.2e-3)
+    patches = {name: scene.patches[name] for name in "1234"}
+    return replace(scene, patches=patches, levels=tuple(Level(1, size) for size in (0.05, 0.03)), noise_sigma=0.2e-3)
 
 
 @pytest.fixture(scope="module")

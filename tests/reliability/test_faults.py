@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import signal
 from pathlib import Path
 
@@ -18,10 +17,6 @@ def met(found: Reached) -> None:
     assert found.met, "\n".join([found.reached, *found.misses[:10]])
 
 
-def test_a_disk_that_fails_at_any_write() -> None:
-    met(disk.failures(3, only=(errno.ENOSPC,)))
-
-
 def test_a_temporary_folder_that_cannot_be_used() -> None:
     met(temporary.full((1, 2), [case for case in temporary.CASES if case[0] == "16k" or case[1] != "small"]))
 
@@ -30,9 +25,8 @@ def test_every_fault_of_the_solver_has_a_name() -> None:
     met(solver.faulty(1))
 
 
-@pytest.mark.parametrize("ranks", [1, 2])
-def test_an_interrupted_job_goes_on(ranks: int) -> None:
-    met(signals.signals(1, seed=ranks, ranks=(ranks,)))
+def test_an_interrupted_job_goes_on() -> None:
+    met(signals.signals(1, seed=1, ranks=(1,)))
 
 
 def test_a_hanging_trial_ends() -> None:

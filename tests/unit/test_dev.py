@@ -359,13 +359,13 @@ def test_size_of_dev() -> None:
         return len(path.read_text(encoding="utf-8").splitlines())
 
     helpers = [path for path in (ROOT / "environment").iterdir() if path.suffix in (".sh", ".py")]
-    assert lines(ROOT / "dev") <= 200
+    assert lines(ROOT / "dev") <= 170
     assert lines(ROOT / "dev") + sum(map(lines, helpers)) <= 600
 
 
 @pytest.mark.skipif("BCID_DEV" not in os.environ, reason="not run in an environment of ./dev")
 def test_validation_is_a_command_of_the_environment() -> None:
-    run = subprocess.run(["bcid-validate", "--help"], capture_output=True, text=True, timeout=60, cwd="/")
+    run = subprocess.run(["bcid-validate", "--help"], capture_output=True, text=True, cwd="/")
     assert "golden" in run.stdout, run.stderr
 
 
@@ -404,10 +404,11 @@ while wait -n; rc=$?; [ $rc != 127 ]; do [ $rc = 0 ] || code=$rc; done
 exit $code
 """
 
-# Instead of pytest: what it is to do, and as which rank.
+# Instead of pytest and coverage: what it is to do, and as which rank.
 PYTEST = """
 rank=${OMPI_COMM_WORLD_RANK:-serial}
 echo "$rank: $*"
+case $* in "-m coverage report"*) [ "$BAD" != few ]; exit ;; esac
 [ "$rank" != "$BAD" ]
 """
 
@@ -423,13 +424,31 @@ def tasks(tmp_path: Path) -> Tasks:
 def test_all_tests_are_run_also_on_ranks(tasks: Tasks) -> None:
     code, out, said = tasks("test", BAD="none")
     assert code == 0, out
-    assert said[-1] == "dev: test OK after t: serial passed (t), 2 rank(s) passed (t), 3 rank(s) passed (t)"
-    serial, *ranks = out.splitlines()
-    assert serial.startswith("serial: -m pytest tests/parallel tests/verify tests/unit")
+    passed = ", ".join(f"{name} passed (t)" for name in ("serial", "2 rank(s)", "3 rank(s)", "coverage"))
+    assert said[-1] == f"dev: test OK after t: {passed}"
+    erased, serial, *ranks, combined, reported = out.splitlines()
+    assert erased == "serial: -m coverage erase"
+    assert serial.startswith("serial: -m coverage run -m pytest tests/parallel tests/verify tests/unit")
     assert ("-n 2 --dist loadfile" in serial) == (len(os.sched_getaffinity(0)) > 1)
     # Rank 0 of two, and of three: the others are not shown.
     assert [line.split()[0] for line in ranks] == ["0:", "0:"]
-    assert all(line.endswith(" tests/parallel") for line in ranks)
+    assert all("-m coverage run -m pytest" in line and line.endswith(" tests/parallel") for line in ranks)
+    assert combined == "serial: -m coverage combine -q"
+    assert reported.startswith("serial: -m coverage report")
+
+
+def test_too_little_coverage_fails(tasks: Tasks) -> None:
+    code, _, said = tasks("test", BAD="few")
+    assert code == 1
+    assert said[-1].endswith("coverage FAILED (t)")
+
+
+def test_long_tests_are_run_alone(tasks: Tasks) -> None:
+    code, out, said = tasks("test", "--long", "-x", BAD="none")
+    assert (code, said[-1]) == (0, "dev: test OK after t: long passed (t)")
+    (line,) = out.splitlines()
+    assert line.startswith("serial: -m pytest tests/long ")
+    assert line.endswith(" -x")
 
 
 @pytest.mark.parametrize("bad", ["serial", "0", "1"])

@@ -18,28 +18,28 @@ from bcid.exploration.moves import Move, moves
 from bcid.exploration.robots import Simulated
 from bcid.predict.pull_prediction import predicted
 from bcid.predict.pull_predictor import PullPredictor
-from bcid.scene import Scene
+from bcid.scene import Level, Scene
 
-# With so much noise three pulls never decide.
+# With so much noise two pulls never decide.
 NOISE = 2e-2
-PLAN = ExploreOptions(noise=NOISE, budget=3, samples=100)
+PLAN = ExploreOptions(noise=NOISE, budget=2, samples=100)
 
 
-def explored(coarse_scene: Path, robot: str, run: Path, wait: float = 0.3) -> dict[str, Any]:
-    run_exploration(coarse_scene, robot, run, PLAN, MPI.COMM_SELF, store=coarse_scene.parent / "store", wait=wait)
+def explored(coarser_scene: Path, robot: str, run: Path, wait: float = 0.3) -> dict[str, Any]:
+    run_exploration(coarser_scene, robot, run, PLAN, MPI.COMM_SELF, store=coarser_scene.parent / "store", wait=wait)
     found: dict[str, Any] = json.loads((run / "exploration.json").read_text(encoding="utf-8"))
     return found
 
 
-def test_a_stopped_exploration_goes_on_with_the_pulls_it_has_made(coarse_scene: Path, tmp_path: Path) -> None:
+def test_a_stopped_exploration_goes_on_with_the_pulls_it_has_made(coarser_scene: Path, tmp_path: Path) -> None:
     lab, run = tmp_path / "lab", tmp_path / "run"
-    scene = Scene.read(coarse_scene)
+    scene = Scene.read(coarser_scene)
     body = Simulated(PullPredictor(scene, 0, MPI.COMM_SELF), "12", NOISE, 0)
     assert scene.limits is not None
     made = []
-    for number in range(1, 4):
+    for number in range(1, 3):
         with pytest.raises(MachineError, match="no measurement"):
-            explored(coarse_scene, f"folder:{lab}", run)
+            explored(coarser_scene, f"folder:{lab}", run)
         assert json.loads((run / "run.json").read_text())["state"] == "failed"
         assert len(list((run / "steps").glob("*/move.json"))) == number - 1
         end = (lab / f"{number:04d}/wanted.csv").read_text().splitlines()[5].split(",")
@@ -47,13 +47,17 @@ def test_a_stopped_exploration_goes_on_with_the_pulls_it_has_made(coarse_scene: 
         made.append(move)
         body.move(move.action(scene.limits, str(number)))
         body.observe().write(lab / f"{number:04d}/measurement")
-    found = explored(coarse_scene, f"folder:{lab}", run)
+    found = explored(coarser_scene, f"folder:{lab}", run)
     assert [(s["grasp"], s["direction"]) for s in found["steps"]] == [(m.grasp, m.direction) for m in made]
     # The same as one that was never stopped.
-    whole = explored(coarse_scene, "simulated:1,2", tmp_path / "whole")
+    whole = explored(coarser_scene, "simulated:1,2", tmp_path / "whole")
     # But for what the solver leaves open where it begins at other states.
     assert [s["patches"] for s in whole["steps"]] == [pytest.approx(s["patches"], abs=1e-3) for s in found["steps"]]
     body.predictor.destroy()
+
+
+def on_finer_mesh(scene: Path) -> Scene:
+    return replace(Scene.read(scene), levels=(Level(2, 0.017),))
 
 
 @pytest.mark.parametrize(
@@ -65,9 +69,9 @@ def test_a_stopped_exploration_goes_on_with_the_pulls_it_has_made(coarse_scene: 
     ],
 )
 def test_a_pull_that_was_changed_is_not_gone_on_with(
-    coarse_scene: Path, tmp_path: Path, file: str, old: str, new: str, told: str
+    coarser_scene: Path, tmp_path: Path, file: str, old: str, new: str, told: str
 ) -> None:
-    scene, run = Scene.read(coarse_scene), tmp_path / "run"
+    scene, run = Scene.read(coarser_scene), tmp_path / "run"
     body = Simulated(PullPredictor(scene, 0, MPI.COMM_SELF), "12", NOISE, 0)
     move = moves(scene)[0]
     assert scene.limits is not None
@@ -86,24 +90,24 @@ def test_a_pull_that_was_changed_is_not_gone_on_with(
         _made(run)
 
 
-def test_predictions_are_shared_and_what_is_damaged_is_computed_again(coarse_scene: Path, tmp_path: Path) -> None:
-    first = explored(coarse_scene, "simulated:1,2", tmp_path / "one")
-    again = explored(coarse_scene, "simulated:1,2", tmp_path / "two")
+def test_predictions_are_shared_and_what_is_damaged_is_computed_again(coarser_scene: Path, tmp_path: Path) -> None:
+    first = explored(coarser_scene, "simulated:1,2", tmp_path / "one")
+    again = explored(coarser_scene, "simulated:1,2", tmp_path / "two")
     assert first["steps"][0]["predicted"] > 0
     assert sum(step["predicted"] for step in again["steps"]) == 0
     assert [s["posterior"] for s in again["steps"]] == [s["posterior"] for s in first["steps"]]
     with pytest.raises(InputError, match="holds a finished run"):
-        explored(coarse_scene, "simulated:1,2", tmp_path / "two")
+        explored(coarser_scene, "simulated:1,2", tmp_path / "two")
     for file in (tmp_path / "store").iterdir():
         file.write_bytes(file.read_bytes()[:100])
-    third = explored(coarse_scene, "simulated:1,2", tmp_path / "three")
+    third = explored(coarser_scene, "simulated:1,2", tmp_path / "three")
     assert [s["posterior"] for s in third["steps"]] == [s["posterior"] for s in first["steps"]]
     assert sum(step["predicted"] for step in third["steps"]) == sum(step["predicted"] for step in first["steps"])
 
 
-def test_forces_tell_more_and_how_stiff_the_body_is(coarse_scene: Path) -> None:
+def test_forces_tell_more_and_how_stiff_the_body_is(coarser_scene: Path) -> None:
     """The body is much stiffer than its scene says, which positions do not show."""
-    scene, plan = Scene.read(coarse_scene), replace(PLAN, noise=2e-3, wrench_noise=0.01, budget=1, grasps=("II",))
+    scene, plan = on_finer_mesh(coarser_scene), replace(PLAN, noise=2e-3, wrench_noise=0.01, budget=1, grasps=("II",))
     stiffer = replace(scene.material, values=scene.material.values | {"young": "24 kPa"})
     found = {}
     for told in (plan, replace(plan, wrench_noise=None)):
@@ -126,9 +130,9 @@ def test_forces_tell_more_and_how_stiff_the_body_is(coarse_scene: Path) -> None:
     assert "do not count: state their noise with --wrench-noise" in unfelt.remarks[0]
 
 
-def test_the_way_back_is_not_computed_and_the_same(coarse_scene: Path) -> None:
+def test_the_way_back_is_not_computed_and_the_same(coarser_scene: Path) -> None:
     """A pull that is followed step by step to its end and back gives what half of it gives."""
-    scene = Scene.read(coarse_scene)
+    scene = Scene.read(coarser_scene)
     predictor = PullPredictor(scene, 0, MPI.COMM_SELF)
     assert scene.limits is not None
     action = moves(scene)[0].action(scene.limits)
@@ -146,9 +150,9 @@ def test_the_way_back_is_not_computed_and_the_same(coarse_scene: Path) -> None:
     predictor.destroy()
 
 
-def test_a_gripper_that_is_off_shows_on_the_way_back_as_well(coarse_scene: Path) -> None:
+def test_a_gripper_that_is_off_shows_on_the_way_back_as_well(coarser_scene: Path) -> None:
     """The tangent along a pull and back, half of which is computed, against a gripper that is really off."""
-    scene = Scene.read(coarse_scene)
+    scene = Scene.read(coarser_scene)
     predictor = PullPredictor(scene, 0, MPI.COMM_SELF)
     assert scene.limits is not None
     action, anchors, step = moves(scene)[0].action(scene.limits), frozenset("34"), 1e-4
@@ -168,9 +172,9 @@ def test_a_gripper_that_is_off_shows_on_the_way_back_as_well(coarse_scene: Path)
     predictor.destroy()
 
 
-def test_a_body_that_has_buckled_is_told(coarse_scene: Path) -> None:
+def test_a_body_that_has_buckled_is_told(coarser_scene: Path) -> None:
     """Pushed at its corner the slab bends aside on a path that never gets soft; pulled and lifted it does not."""
-    scene = Scene.read(coarse_scene)
+    scene = on_finer_mesh(coarser_scene)
     assert scene.limits is not None
     limits = replace(scene.limits, directions={"in": (-1.0, 0.0, 0.0), "out": (1.0, 0.0, 0.0), "up": (0.0, 1.0, 0.0)})
     predictor = PullPredictor(scene, 0, MPI.COMM_SELF)

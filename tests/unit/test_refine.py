@@ -239,14 +239,6 @@ def test_half_of_a_patch_is_found_from_another_mesh() -> None:
     assert fine.evaluations[1] > fine.found.evaluations[1]
 
 
-def test_a_quarter_is_found_in_two_rounds() -> None:
-    fine = refine(seen("7.2.1", cuts=("7", "7.2")), 2)
-    assert fine.found.anchored == ("7.2.1",)
-    assert fine.found.probability > 0.95
-    assert fine.found.rms < 1.05 * NOISE
-    assert fine.refined == {"7": ("7.1", "7.2"), "7.2": ("7.2.1", "7.2.2")}
-
-
 def test_whole_patches_are_left_alone() -> None:
     measurement = seen("3", "8")
     plain, fine = identify(FEW, measurement, None, OPTIONS), refine(measurement, 2)
@@ -255,14 +247,6 @@ def test_whole_patches_are_left_alone() -> None:
     assert fine.found.probability == plain.probability
     assert fine.found.patches == plain.patches
     assert len(fine.log) == 3, "one round that kept nothing, and one that found nothing to do"
-
-
-def test_halves_that_cannot_be_told_apart_are_merged() -> None:
-    """Behind the anchored edge 3 hardly anything moves: whether all of 8 is anchored there or only a half leaves no trace."""
-    fine = refine(seen("3", "8.2", cuts=("8",)), 1)
-    assert fine.refined == {}
-    assert fine.found.anchored == ("3", "8")
-    assert fine.found.rms < 1.05 * NOISE
 
 
 def test_a_search_with_pieces_starts_where_all_of_them_are_seen() -> None:

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from bcid import Measurement, Scene, explain
+from bcid import Measurement, Scene
 from bcid.app.cli import main
 from bcid.base.errors import InputError
-from bcid.base.options import ExplainOptions
 from bcid.exploration.moves import limits_of
 from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.simulate import simulate
@@ -127,16 +126,6 @@ def cut(project: Path) -> Scene:
 @pytest.fixture(scope="module")
 def volume(project: Path) -> Measurement:
     return Measurement.read(project / "examples" / "measurements" / "cut-5")
-
-
-def test_a_block_that_is_cut_out_of_a_body_tells_how_stiff_a_ball_in_it_is(cut: Scene, volume: Measurement) -> None:
-    """What holds and pulls the body is not known; what was measured on the surface of the block stands for it."""
-    found = explain(
-        cut, volume, options=ExplainOptions(only=("region_stiffness", "stiffness_gradient", "strain_stiffening"))
-    )
-    assert found.verdict == "region_stiffness"
-    assert found.posterior.effects["region_stiffness"] > 0.9
-    assert found.parameters[f"{BALL}.ratio"]["value"] == pytest.approx(5.0, rel=0.06)
 
 
 def test_errors_of_the_points_are_in_the_covariance(cut: Scene, volume: Measurement) -> None:

@@ -1,6 +1,6 @@
 """What must not be taken for a missing effect: wrong anchors, a coarse mesh, unfitted numbers, a marker that jumped.
 
-A slab is measured on a mesh of 8 or 25 mm and compared on one of 75 mm, which 25 mm say the error of.
+A slab is measured on a mesh of 12.5 or 25 mm and compared on one of 75 mm, which 25 mm say the error of.
 """
 
 from __future__ import annotations
@@ -30,13 +30,11 @@ from bcid.inference.continuation import truncate_to_converged
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.thresholds import THRESHOLDS
 from bcid.measurement import Action, Measurement
-from bcid.predict.levels import pair
 from bcid.predict.mesh_ladder import mesh_error
 from bcid.predict.predictor import Predictor
 from bcid.scene import Level, Scene
 from bcid.search.answer.adequacy import judge
 from bcid.search.answer.explanation import Explanation, explained, explains
-from bcid.search.answer.output import noise_warning
 from bcid.search.answer.separate import separating_pulls
 from bcid.search.coarse_search import CoarseSearch
 from bcid.search.explain import explain
@@ -69,9 +67,17 @@ def coarse() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def slab(project: Path) -> Scene:
+def eight(project: Path) -> Scene:
+    """With all of its patches."""
     scene = Scene.read(project / "examples" / "scenes" / "slab.toml", physics=check_physics)
-    return replace(scene, levels=tuple(Level(2, size) for size in (0.05, 0.025, 0.008)), noise_sigma=NOISE)
+    levels = tuple(Level(2, size) for size in (0.05, 0.025, 0.0125))
+    return replace(scene, levels=levels, noise_sigma=NOISE)
+
+
+@pytest.fixture(scope="module")
+def slab(eight: Scene) -> Scene:
+    """Five patches have 32 sets: enough for wrong ones."""
+    return replace(eight, patches={name: eight.patches[name] for name in "12347"})
 
 
 def pulls() -> list[Action]:
@@ -214,8 +220,9 @@ def test_anchors_and_effects_are_rivals(slab: Scene) -> None:
     predictor.destroy()
 
 
-def test_all_sets_are_seen_from_one_that_was_followed(heavy: Measurement, slab: Scene) -> None:
+def test_all_sets_are_seen_from_one_that_was_followed(heavy: Measurement, eight: Scene) -> None:
     """The true set is six toggles away from that of all patches, and the plain model fits best with another one."""
+    slab = eight
     predictor = Predictor(slab, heavy, MPI.COMM_SELF, level=1)
     thin, _ = predictor.thinned(2, FEW_STEPS)
     everywhere, model = frozenset(slab.patches), Model.of(slab)
@@ -385,29 +392,6 @@ def test_a_marker_that_jumped_is_named(slab: Scene, plain: Measurement) -> None:
 # ------------------------------------------------------------------------------------------------------------------
 
 
-def test_a_stress_that_comes_and_goes_is_named(slab: Scene) -> None:
-    model = Model.of(slab) + Term("active_stress", {"amplitude": 1200.0, "angle": 40.0, "period": 9.0})
-    predictor = Predictor(slab, simulate(slab, ANCHORED, pulls(), level=2, model=model), MPI.COMM_SELF, level=1)
-    found = explain(predictor, ExplainOptions(level=1))
-    assert found.verdict == "active_stress"
-    assert found.last.state.anchors == ANCHORED
-    values = found.last.fitted.values
-    assert values["active_stress.amplitude"] == pytest.approx(1200.0, rel=0.2)
-    assert values["active_stress.angle"] == pytest.approx(40.0, abs=10.0)
-    predictor.destroy()
-
-
-def test_anchors_that_give_are_named_with_their_set(slab: Scene) -> None:
-    """So soft that the sensitivity to a compliance from none says nothing of them, and a wrong rigid set fits best."""
-    true = frozenset("13")
-    model = Model.of(slab) + Term("soft_anchor", {"stiffness": 5e4})
-    predictor = Predictor(slab, simulate(slab, true, pulls(), level=2, model=model), MPI.COMM_SELF, level=1)
-    found = explain(predictor, ExplainOptions(level=1, only=FEW))
-    assert (found.verdict, found.last.state.anchors) == ("soft_anchor", true)
-    assert found.last.fitted.values["soft_anchor.stiffness"] == pytest.approx(5e4, rel=0.2)
-    predictor.destroy()
-
-
 def test_where_anchors_give_the_errors_are_not_those_of_a_rigid_hold(predictor: Predictor) -> None:
     state = at(predictor)
     found = {}
@@ -445,29 +429,6 @@ def test_an_amount_that_cannot_be_told_from_a_smaller_one_stays_near_none(slab: 
     start = State.of(predictor, stiff[1], frozenset("1"), MeshError.unknown(predictor.data.mask.shape))
     found = fit(start, ("foundation(sheared).stiffness",), most=20)
     assert found.values["foundation(sheared).stiffness"] < 3e6
-    predictor.destroy()
-
-
-def test_a_noise_that_is_stated_as_half_is_told(slab: Scene, plain: Measurement) -> None:
-    predictor = Predictor(slab, replace(plain, noise_sigma=NOISE / 2), MPI.COMM_SELF, level=1)
-    found = explain(predictor, ExplainOptions(level=1, only=FEW))
-    assert found.noise is not None
-    assert found.noise.factor == pytest.approx(2.0, rel=0.2)
-    assert "stated as 0.1 mm" in noise_warning(found)
-    assert (found.verdict, found.last.state.anchors) == ("none", ANCHORED)
-    predictor.destroy()
-
-
-def test_without_a_noise_nothing_is_certain_of_what_is_not_there(slab: Scene) -> None:
-    """Smooth data, of which the second differences say that there is no noise."""
-    smooth = simulate(slab, ANCHORED, pulls(), level=2, noise=0.0)
-    scene = replace(slab, noise_sigma=None)
-    predictor = Predictor(scene, replace(smooth, noise_sigma=None), MPI.COMM_SELF, level=1)
-    found = explain(predictor, ExplainOptions(level=1, only=FEW))
-    assert found.last.state.anchors == ANCHORED
-    assert found.verdict == "none" or found.probability < 0.95
-    assert found.last.adequacy.told is not True, "by a noise that was estimated from it nothing is adequate"
-    assert noise_warning(found) == ""
     predictor.destroy()
 
 
@@ -509,21 +470,6 @@ def test_that_solves_fail_is_no_evidence(slab: Scene, plain: Measurement, monkey
     if right:
         (remark,) = compared[-1].remarks
         assert remark.startswith(f"action 3 is compared up to step {STEPS - 2} only")
-
-
-def test_that_solves_fail_is_no_evidence_on_the_meshes_that_are_chosen(
-    slab: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The same, measured by cubic elements."""
-    monkeypatch.setattr("bcid.predict.predictor.pair", pair)
-    seen = simulate(replace(slab, levels=(Level(3, 0.016),)), ANCHORED, pulls(), level=0)
-    monkeypatch.setattr(Forward, "predict", inverting)
-
-    def work(measurement: Measurement) -> Explanation:
-        return explain(Predictor(slab, measurement, MPI.COMM_SELF, level=1), ExplainOptions(level=1, only=FEW))
-
-    found = truncate_to_converged(seen, work)
-    assert (found.verdict, found.last.state.anchors) == ("none", ANCHORED)
 
 
 def test_what_follows_buckling_is_no_evidence(slab: Scene, measurement_folder: Callable[[str], Path]) -> None:

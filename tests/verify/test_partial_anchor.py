@@ -25,7 +25,8 @@ STEPS = 4
 @pytest.fixture(scope="module")
 def slab(project: Path) -> Scene:
     scene = Scene.read(project / "examples" / "scenes" / "slab.toml", physics=check_physics)
-    return replace(scene, levels=(Level(2, 0.02), Level(2, 0.012)), noise_sigma=0.1e-3)
+    patches = {name: scene.patches[name] for name in "2347"}
+    return replace(scene, patches=patches, levels=(Level(2, 0.02), Level(2, 0.012)), noise_sigma=0.1e-3)
 
 
 @pytest.fixture(scope="module")

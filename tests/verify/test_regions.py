@@ -56,6 +56,13 @@ def mesh(sheet: Scene) -> BodyMesh:
     return level_mesh(sheet, Level(1, 0.003))
 
 
+@pytest.fixture(scope="module")
+def stiff(maker: ModuleType) -> Measurement:
+    """Of an inlay four times as stiff as the sheet."""
+    found: Measurement = maker.simulated(4.0)
+    return found
+
+
 def explained(scene: Scene, measured: Measurement) -> Explanation:
     predictor = Predictor(scene, measured, MPI.COMM_SELF)
     found = explain(predictor, ExplainOptions(only=RIVALS))
@@ -63,7 +70,7 @@ def explained(scene: Scene, measured: Measurement) -> Explanation:
     return found
 
 
-@pytest.mark.parametrize("ratio", [1.0, 0.5, 2.0, 4.0, 8.0])
+@pytest.mark.parametrize("ratio", [1.0, 0.5, 8.0])
 def test_stiffness_of_an_inlay_is_found_on_a_mesh_that_is_not_fitted_to_it(
     sheet: Scene, maker: ModuleType, ratio: float
 ) -> None:
@@ -76,18 +83,16 @@ def test_stiffness_of_an_inlay_is_found_on_a_mesh_that_is_not_fitted_to_it(
     assert abs(value - ratio) < 2 * error < 0.15 * ratio
 
 
-def test_without_its_region_the_inlay_is_something_else_or_known(sheet: Scene, maker: ModuleType) -> None:
-    seen = maker.simulated(4.0)
-    assert "region_stiffness" not in explained(replace(sheet, regions={}), seen).verdict
+def test_without_its_region_the_inlay_is_something_else_or_known(sheet: Scene, stiff: Measurement) -> None:
+    assert "region_stiffness" not in explained(replace(sheet, regions={}), stiff).verdict
     known = replace(sheet, regions={"inlay": replace(sheet.regions["inlay"], ratio=4.0)})
     assert Model.of(known).constants()[RATIO] == 4.0
-    assert explained(known, seen).verdict == "none"
+    assert explained(known, stiff).verdict == "none"
 
 
-def test_borders_of_a_region_are_as_uncertain_as_those_of_patches(sheet: Scene, maker: ModuleType) -> None:
-    seen = maker.simulated(4.0)
+def test_borders_of_a_region_are_as_uncertain_as_those_of_patches(sheet: Scene, stiff: Measurement) -> None:
     exact = replace(sheet, uncertainty=replace(sheet.uncertainty, borders=0.0))
-    wide, narrow = (explained(scene, seen).last.fitted.stderr[RATIO] for scene in (sheet, exact))
+    wide, narrow = (explained(scene, stiff).last.fitted.stderr[RATIO] for scene in (sheet, exact))
     assert wide > 1.2 * narrow
 
 

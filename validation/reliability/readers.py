@@ -11,7 +11,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -315,20 +315,21 @@ def mutated(good: bytes, rng: np.random.Generator) -> bytes:
     return good
 
 
-def _read_all(name: str, count: int, seed: int) -> None:
-    """Read mutated files of a format, and print how each ended."""
-    rng = np.random.default_rng([seed, sum(name.encode())])
-    with tempfile.TemporaryDirectory(prefix="bcid-") as place:
-        file, read = READERS[name](Path(place))
-        good = file.read_bytes()
-        read()
-        forked.install()
-        for number in range(count):
-            file.write_bytes(mutated(good, rng))
-            print(json.dumps({"begins": number}), flush=True)
-            begin = time.monotonic()
-            end = _ended(read)
-            print(json.dumps({"end": end, "seconds": time.monotonic() - begin}), flush=True)
+def _read_all(names: Sequence[str], count: int, seed: int) -> None:
+    """Read mutated files of formats, and print how each ended."""
+    for name in names:
+        rng = np.random.default_rng([seed, sum(name.encode())])
+        with tempfile.TemporaryDirectory(prefix="bcid-") as place:
+            file, read = READERS[name](Path(place))
+            good = file.read_bytes()
+            read()
+            forked.install()
+            for number in range(count):
+                file.write_bytes(mutated(good, rng))
+                print(json.dumps({"begins": number, "format": name}), flush=True)
+                begin = time.monotonic()
+                end = _ended(read)
+                print(json.dumps({"end": end, "seconds": time.monotonic() - begin, "format": name}), flush=True)
 
 
 def _ended(read: Callable[[], Any]) -> str:
@@ -343,20 +344,19 @@ def _ended(read: Callable[[], Any]) -> str:
     return "read"
 
 
-def one(name: str, count: int, seed: int = 0) -> tuple[Counter[str], list[str]]:
-    """How mutated files of a format ended, and what went wrong."""
-    command = [sys.executable, "-m", "validation.reliability.readers", name, str(count), str(seed)]
+def ends_of(names: Iterable[str], count: int, seed: int = 0) -> tuple[Counter[str], list[str]]:
+    """How `count` mutated files of each format ended, read in one process, and what went wrong."""
+    command = [sys.executable, "-m", "validation.reliability.readers", str(count), str(seed), *names]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     lines = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
-    cases = [line for line in lines if "end" in line]
-    misses = [f"{name}, case {i} of seed {seed}: {c['end']}" for i, c in enumerate(cases) if c["end"][:4] == "EXCE"]
-    misses += [
-        f"{name}, case {i} of seed {seed}: {c['seconds']:.0f} s" for i, c in enumerate(cases) if c["seconds"] > _HANGS
-    ]
-    if done.returncode != 0 or len(cases) < count:
-        misses.append(
-            f"{name}, case {len(cases)} of seed {seed}: bcid died, code {done.returncode}: {done.stderr[-300:]}"
-        )
+    cases, misses = [line for line in lines if "end" in line], []
+    for k, case in enumerate(cases):
+        about = f"{case['format']}, case {k % count} of seed {seed}"
+        misses += [f"{about}: {case['end']}"] if case["end"][:4] == "EXCE" else []
+        misses += [f"{about}: {case['seconds']:.0f} s"] if case["seconds"] > _HANGS else []
+    if done.returncode != 0 or len(cases) < count * (len(command) - 5):
+        last = lines[-1]["format"] if lines else "the first"
+        misses.append(f"{last}, seed {seed}: bcid died, code {done.returncode}: {done.stderr[-300:]}")
     return Counter("exception" if case["end"][:4] == "EXCE" else case["end"] for case in cases), misses
 
 
@@ -365,7 +365,7 @@ def damage(count: int = 300, seed: int = 0) -> Reached:
     total: Counter[str] = Counter()
     misses: list[str] = []
     for name in READERS:
-        ends, wrong = one(name, count, seed)
+        ends, wrong = ends_of([name], count, seed)
         total += ends
         misses += wrong
         print(f"   {name}: {', '.join(f'{what} {times}' for what, times in sorted(ends.items()))}", flush=True)
@@ -375,4 +375,4 @@ def damage(count: int = 300, seed: int = 0) -> Reached:
 
 
 if __name__ == "__main__":
-    _read_all(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]))
+    _read_all(sys.argv[3:], int(sys.argv[1]), int(sys.argv[2]))

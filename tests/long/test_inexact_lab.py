@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
-
 from bcid import Measurement, Scene
 from bcid.base.options import IdentifyOptions
 from bcid.search.answer.identification import Identification
@@ -31,7 +29,6 @@ def test_a_body_of_which_nothing_is_hidden_is_explained(project: Path) -> None:
     assert not any(one.exceeds_prior for one in found.input_uncertainties)
 
 
-@pytest.mark.slow
 def test_the_anchors_are_seen_although_gravity_is_missing(project: Path) -> None:
     """Others fit the measurement better; weighed with an unknown force in the place of gravity, the true ones are found."""
     found = identified(project, "organ", frozenset("45"))

@@ -33,7 +33,6 @@ def explained(project: Path, folder: Path) -> Explanation:
         predictor.destroy()
 
 
-@pytest.mark.slow
 def test_hidden_fibres_are_named_and_measured(project: Path, measurement_folder: Callable[[str], Path]) -> None:
     found = explained(project, measurement_folder("hidden-a"))
     assert found.verdict == "fibres"
@@ -45,7 +44,6 @@ def test_hidden_fibres_are_named_and_measured(project: Path, measurement_folder:
     assert found.last.held_out < 1.1 * found.last.state.noise
 
 
-@pytest.mark.slow
 def test_where_nothing_is_hidden_nothing_is_found(project: Path, measurement_folder: Callable[[str], Path]) -> None:
     found = explained(project, measurement_folder("hidden-d"))
     assert found.verdict == "none"
