@@ -22,14 +22,16 @@ import numpy as np
 from mpi4py import MPI
 
 from bcid import Measurement, Scene
-from bcid.base.units import uncertain
+from bcid.base.units import p_value, uncertain
 from bcid.forms import effects
 from bcid.forms.model import Model, Term
 from bcid.forms.simulate import recorded
 from bcid.measurement import Action
 from bcid.predict.predictor import Predictor
-from bcid.search.answer import diagnosis_text
+from bcid.results.diagnosis_words import ranking_lines
+from bcid.results.words import ADEQUACY
 from bcid.search.answer.adequacy import Adequacy, judge
+from bcid.search.answer.output import ranked_effects
 from bcid.search.fitting.fit import Fit, fit
 from bcid.search.fitting.fitted_hypothesis import FittedHypothesis, fitted_beside
 from bcid.search.fitting.ranking import Ranking, Row, rank
@@ -92,8 +94,9 @@ def main() -> Found:
     plain = State.of(predictor, Model.of(scene), CLAMPED)
     verdict, ranking = judge(plain), rank(plain)
     rivals = fitted_beside(plain, effects.catalogue(), 3)
-    show(diagnosis_text.verdict(plain, verdict, 1e-3, "mm"))
-    show(["", "What it lacks:", *diagnosis_text.table(ranking, rivals, plain.rms, 1e-3, "mm", 6)])
+    show(judged(plain, verdict))
+    rows = [row.scaled(1e3) for row in ranked_effects(ranking, rivals, list(scene.patches))]
+    show(["", "What it lacks:", *ranking_lines(rows[:6], 1e3 * plain.rms)])
     for rival in rivals:
         apart = 1e3 * (rival.held_out or math.nan)
         print(f"  {rival.effect}: a load case predicted from the other is missed by {apart:.2f} mm")
@@ -145,12 +148,13 @@ def what_is_left(weight: Fit, repeatability: float) -> tuple[Adequacy, Row, Fit]
     strict = fit(State.of(predictor, state.model, CLAMPED), state.free)
     verdict = judge(strict.state)
     print(f"\nJudged by the repeatability of {repeatability * 1e3:.2f} mm:")
-    show(diagnosis_text.verdict(strict.state, verdict, 1e-3, "mm"))
+    show(judged(strict.state, verdict))
     show(residuals(strict.state))
 
     own = effects.load(HERE / "effects/marker_stand.py")
     ranking = rank(strict.state, effects.catalogue(own=[own]))
-    show(diagnosis_text.table(ranking, [], strict.state.rms, 1e-3, "mm", 4))
+    rows = [row.scaled(1e3) for row in ranked_effects(ranking, [], list(predictor.whole.patches))]
+    show(ranking_lines(rows[:4], 1e3 * strict.state.rms))
     stand = next(row for row in ranking.rows if row.effect == own.name)
     model = strict.state.model + stand.term
     free = (*state.free, stand.term.full("height"))
@@ -159,6 +163,13 @@ def what_is_left(weight: Fit, repeatability: float) -> tuple[Adequacy, Row, Fit]
     print(f"with {stand.term.label}: {stood.state.rms * 1e3:.2f} mm, {values}")
     show(residuals(stood.state))
     return verdict, stand, stood
+
+
+def judged(state: State, verdict: Adequacy) -> list[str]:
+    """Whether a model is adequate, and by which tests."""
+    name, misses = state.model.name, f"misses by {1e3 * state.rms:.3g} mm, noise {1e3 * state.noise:.3g} mm"
+    lines = [f"{name}: {ADEQUACY[verdict.told]} ({p_value(verdict.p_value)}); {misses}"]
+    return [*lines, *(f"  {one.name:22s} {p_value(one.p_value):12s} {one.text}" for one in verdict.findings)]
 
 
 def residuals(state: State) -> list[str]:

@@ -34,7 +34,8 @@ from bcid.forms.model import Model
 from bcid.forms.simulate import recorded, with_wrenches
 from bcid.measurement import Action
 from bcid.predict.predictor import Predictor
-from bcid.search.answer import diagnosis_text
+from bcid.results.diagnosis_words import ranking_lines
+from bcid.search.answer.output import ranked_effects
 from bcid.search.fitting.fit import Fit, fit
 from bcid.search.fitting.ranking import Ranking, rank
 from bcid.search.fitting.state import State
@@ -88,7 +89,8 @@ def main(curve: Sequence[tuple[float, float]] = CURVE) -> Found:
     plain = fit(State.of(predictor, on_rollers(scene), frozenset()), ("young",))
     ranking = rank(plain.state)
     show("the law alone", plain, curve)
-    print("\n".join(diagnosis_text.table(ranking, [], plain.state.rms, 1e-3, "mm", 4)))
+    rows = [row.scaled(1e3) for row in ranked_effects(ranking, [], [])]
+    print("\n".join(ranking_lines(rows[:4], 1e3 * plain.state.rms)))
     # Fibres along the pull would do the same: one pull cannot tell them apart, but the rubber was cast and has none.
     row = next(row for row in ranking.rows if row.effect == "strain_stiffening")
     print(f"as good as {row.effect}: {', '.join(row.confounded_with) or 'nothing'}")

@@ -35,7 +35,9 @@ def main() -> tuple[float, float]:
     measured = simulate(body, ["3", "4"], pulls, noise=0.2e-3, wrench=True, wrench_noise=0.02)
     found = identify(scene, measured, options=IdentifyOptions(level=2))
     assert found.stiffness is not None
-    value, error = found.stiffness["young"]
+    young = found.stiffness.constants["young"]
+    assert young.stderr is not None
+    value, error = young.value, young.stderr
     print(f"{found.headline}\nyoung = {uncertain(value, error, 'Pa')}; the body that was pulled has {TRUE:.0f} Pa")
     return value, error
 

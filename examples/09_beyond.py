@@ -72,7 +72,7 @@ def main(folder: Path, known: tuple[str, ...] | None = None) -> tuple[str, str, 
     both = None if known is None else (*known, "stuck")
     after = bcid.explain(scene, measured, options=ExplainOptions(only=both), effects=[effects.load(file)])
     print(after.headline)
-    values = {name: number["value"] for name, number in proposal.proposed[0]["parameters"].items()}
+    values = {name: number.value for name, number in proposal.proposed[0].parameters.items()}
     away = float(np.linalg.norm([values["cx"], values["cy"], values["cz"]] - PLACE))
     print(f"the spot that was found is {1e3 * away:.1f} mm from the true one")
     return before.verdict, after.verdict, away

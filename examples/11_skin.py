@@ -137,7 +137,10 @@ def answer(folder: Path, specimen: str, thickness: float, poisson: float, work: 
     file.write_text(scene_text(folder, specimen, thickness, poisson), encoding="utf-8")
     scene = Scene.read(file, physics=check_physics)
     found = identify(scene, seen(folder, specimen, every))
+    assert found.stiffness is not None
+    assert found.discrepancy_probability is not None
     young = found.stiffness.constants["young"]
+    assert young.interval is not None
     product = thickness * 1e-6 * np.array([young.value, *young.interval])
     return Answer(
         thickness,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from bcid.base.units import UNTOLD, falls, for_people, hardly_falls, p_value, percent, uncertain
+from bcid.base.units import UNTOLD, falls, for_people, hardly_falls, p_value, percent, significance, uncertain
 from bcid.results.diagnosis_record import (
     BREAKING,
     DiagnosisRecord,
@@ -195,6 +195,19 @@ def ranked_text(row: RankedEffect) -> str:
     same = f"  (like {', '.join(row.confounded_with)})" if row.confounded_with else ""
     parts = [parameter_text(name, number) for name, number in row.parameters.items()]
     return ", ".join(parts) + (f" at {row.place}" if row.place else "") + same
+
+
+def ranking_lines(rows: Iterable[RankedEffect], now: float) -> list[str]:
+    """Ranked effects as a table; `now` is the error without them, mm."""
+    errors = f"{'error now':>9s} → {'expected':>8s} → {'fitted':>7s} mm"
+    lines = [f"  {'effect':20s} {errors}   {'score':>8s} {'p':>8s} {'power':>6s}  what"]
+    for row in rows:
+        fitted = "" if row.fitted_rms is None else f"{row.fitted_rms:.3g}"
+        lines.append(
+            f"  {row.effect:20s} {now:9.3g} → {row.expected_rms:8.3g} → {fitted:>7s}      {row.score:8.0f} "
+            f"{significance(row.p_value):>8s} {row.power:6.2f}  {ranked_text(row)}"
+        )
+    return lines
 
 
 def verdict_names(d: DiagnosisRecord, least: float) -> str:

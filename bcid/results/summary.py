@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from bcid.base.units import force_unit, p_value, percent, significance
+from bcid.base.units import force_unit, p_value, percent
 from bcid.results import diagnosis_words, identification_words, words
 from bcid.results.common_rows import unknown_thickness
 from bcid.results.diagnosis_record import DiagnosisRecord, DiscrepancyRecord, ForceRow
@@ -51,7 +51,7 @@ def _templates() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    made.filters |= {"percent": percent, "p": p_value, "significance": significance, "g": _three_digits}
+    made.filters |= {"percent": percent, "p": p_value, "g": _three_digits}
     made.globals |= {
         "set_label": words.set_label,
         "parameter_text": words.parameter_text,
@@ -60,6 +60,7 @@ def _templates() -> Environment:
         "NO_EFFECTS": words.NO_EFFECTS,
         "adequacy": words.ADEQUACY,
         "some_steps": _some_steps,
+        "ranking_lines": diagnosis_words.ranking_lines,
     }
     return made
 

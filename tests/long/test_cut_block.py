@@ -16,4 +16,4 @@ def test_a_block_that_is_cut_out_of_a_body_tells_how_stiff_a_ball_in_it_is(cut: 
     )
     assert found.verdict == "region_stiffness"
     assert found.posterior.effects["region_stiffness"] > 0.9
-    assert found.parameters[f"{BALL}.ratio"]["value"] == pytest.approx(5.0, rel=0.06)
+    assert found.parameters[f"{BALL}.ratio"].value == pytest.approx(5.0, rel=0.06)

@@ -19,11 +19,11 @@ def identified(project: Path, body: str, *start: frozenset[str]) -> Identificati
 
 def test_a_body_of_which_nothing_is_hidden_is_explained(project: Path) -> None:
     """The best set misses by 2.8 times the noise, and yet nothing is missing."""
-    assert (found := identified(project, "block")).noise
+    assert (found := identified(project, "block")).noise_rms
     assert found.anchored == ("1", "6")
     assert found.probability > 0.99
-    assert found.rms > 2.5 * found.noise
-    assert found.explains
+    assert found.rms > 2.5 * found.noise_rms
+    assert found.adequate
     assert found.discrepancy_probability is not None
     assert found.discrepancy_probability < 0.5
     assert not any(one.exceeds_prior for one in found.input_uncertainties)
@@ -34,5 +34,5 @@ def test_the_anchors_are_seen_although_gravity_is_missing(project: Path) -> None
     found = identified(project, "organ", frozenset("45"))
     assert found.anchored == ("1", "4")
     assert found.probability > 0.95
-    assert not found.explains
+    assert not found.adequate
     assert not any(one.exceeds_prior for one in found.input_uncertainties)

@@ -160,5 +160,5 @@ def test_the_lab_measurements_are_identified(name: str, anchored: str) -> None:
     assert found.anchored == tuple(anchored)
     # 99.3 % on the finest mesh of the scene.
     assert found.probability > 0.9
-    assert found.rms < 1.1 * found.noise
+    assert found.rms < 1.1 * found.noise_rms
     assert sum(found.evaluations.values()) < 260

@@ -37,7 +37,7 @@ def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caps
     assert explained.rms == pytest.approx(0.215e-3, rel=0.03)
     # The weight that the measurement was made with is found within its error.
     weight = explained.parameters["gravity.weight"]
-    assert weight["value"] == pytest.approx(1260, abs=3 * weight["stderr"])
+    assert weight.value == pytest.approx(1260, abs=3 * weight.stderr)
     assert repr(shown[-1]) == repr(explained)
     assert all(hasattr(one, "_repr_html_") for one in shown if "Result" in type(one).__name__)
     assert os.path.isdir("explained")

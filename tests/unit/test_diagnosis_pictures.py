@@ -1,10 +1,12 @@
 """Pictures of a diagnosis, from a small run folder made by hand: no solver is needed."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import runs
 import xarray as xr
 from matplotlib.figure import Figure
 
@@ -15,29 +17,19 @@ from bcid.report.export import draw_pictures
 from bcid.report.figure import round_length
 from bcid.report.labels import Viewpoint, beside_arrows
 from bcid.report.models_chart import models_figure
-from bcid.report.text import conclusion, falling, model_name
+from bcid.report.text import conclusion, falling
+from bcid.results.common_rows import ConstantRow
+from bcid.results.diagnosis_record import DiagnosisRecord, DiscrepancyRecord, ForceRow, ModelRow, TotalForce
+from bcid.results.words import model_name
 
 
-def rung(model: str, rms: float, adequate: bool) -> dict[str, Any]:
-    return {"model": model, "anchored": ["left"], "rms": rms, "held_out_rms": rms, "adequate": adequate, "p_value": 0.5}
+def rung(model: str, rms: float, adequate: bool) -> ModelRow:
+    return ModelRow(model=model, anchored=("left",), rms=rms, held_out_rms=rms, adequate=adequate, p_value=0.5)
 
 
-def row(effect: str, expected: float, fitted: float | None = None) -> dict[str, Any]:
-    return {"effect": effect, "place": "", "expected_rms": expected, "fitted_rms": fitted}
-
-
-def diagnosis(**more: Any) -> dict[str, Any]:
-    found = {
-        "adequate": True,
-        "verdict": "gravity",
-        "anchored": ["left"],
-        "rms": 0.21,
-        "noise_rms": 0.2,
-        "length_unit": "mm",
-        "model_sequence": [rung("neo_hooke", 1.4, False), rung("neo_hooke + gravity", 0.21, True)],
-        "ranking": [row("gravity", 0.25, 0.21), row("soft_anchor", 1.3)],
-    }
-    return found | more
+def diagnosis(**more: Any) -> DiagnosisRecord:
+    steps = (rung("neo_hooke", 1.4, False), rung("neo_hooke + gravity", 0.21, True))
+    return replace(DiagnosisRecord.from_json(runs.diagnosis()), **({"model_sequence": steps} | more))
 
 
 def body() -> xr.Dataset:
@@ -88,30 +80,33 @@ def residuals() -> xr.Dataset:
     )
 
 
-Force = dict[str, Any]
-
-
-def where(steady: list[Force], growing: dict[str, list[Force]], **more: Any) -> dict[str, Any]:
+def where(
+    steady: tuple[ForceRow, ...],
+    growing: dict[str, tuple[ForceRow, ...]],
+    together: ForceRow | None = None,
+    explained: float = 0.99,
+) -> DiscrepancyRecord:
     """A missing force; what it is in all is its first region, unless that is given."""
-    whole = {"steady": steady[0], "growing": {action: forces[0] for action, forces in growing.items()}}
-    found = {"explained_fraction": 0.99, "rms": 0.22, "length_unit": "mm", "steady": steady, "growing": growing}
-    return found | {"together": whole} | more
+    whole = TotalForce(steady=together or steady[0], growing={action: rows[0] for action, rows in growing.items()})
+    return DiscrepancyRecord(
+        explained_fraction=explained, rms=0.22, length_unit="mm", steady=steady, growing=growing, together=whole
+    )
 
 
-def force(size: list[float], stderr: float = 0.01, position: float = 20) -> Force:
-    return {"position": [position, 20, 20], "force": size, "stderr": stderr}
+def force(size: list[float], stderr: float = 0.01, position: float = 20.0) -> ForceRow:
+    return ForceRow(position=(position, 20.0, 20.0), force=tuple(size), stderr=stderr)
 
 
-WHERE = where([force([0.0, -0.1, 0.0])], {"1": [force([0.05, 0.0, 0.0])]})
+WHERE = where((force([0.0, -0.1, 0.0]),), {"1": (force([0.05, 0.0, 0.0]),)})
 
 
-def folder(path: Path, found: dict[str, Any], where: dict[str, Any] | None) -> Path:
+def folder(path: Path, found: DiagnosisRecord, where: DiscrepancyRecord | None) -> Path:
     run = RunFolder.start(path, "explain", {})
-    run.write_json("diagnosis.json", found)
+    run.write_json("diagnosis.json", found.to_json())
     run.write_dataset("body.nc", body())
     run.write_dataset("residuals.nc", residuals())
     if where is not None:
-        run.write_json("discrepancy.json", where)
+        run.write_json("discrepancy.json", where.to_json())
     run.finish({})
     return path
 
@@ -150,9 +145,9 @@ def test_what_a_dense_field_misses_is_a_map() -> None:
 def test_nothing_is_missing(tmp_path: Path) -> None:
     """An adequate plain model has neither a missing force nor a second model, and a force may be no force."""
     pytest.importorskip("pyvista")
-    found = diagnosis(verdict="none", model_sequence=[rung("neo_hooke", 0.2, True)], ranking=[])
+    found = diagnosis(verdict="none", model_sequence=(rung("neo_hooke", 0.2, True),), ranking=())
     assert names(draw_pictures(folder(tmp_path / "run", found, None))) == {"picture.png", "models.png", "body.vtkhdf"}
-    nothing = where([force([0.0, 0.0, 0.0])], {})
+    nothing = where((force([0.0, 0.0, 0.0]),), {})
     assert "discrepancy.png" in names(draw_pictures(folder(tmp_path / "other", found, nothing)))
 
 
@@ -174,7 +169,7 @@ def said(figure: Figure) -> str:
 def test_a_force_is_drawn_only_where_it_can_be_told(stderr: float, explained: float, told: bool) -> None:
     pytest.importorskip("pyvista")
     steady = [force([0.0, -0.1, 0.0], stderr), force([0.0, -9e-6, 0.0], position=30)]
-    figure = discrepancy_figure(diagnosis(), where(steady, {}, explained_fraction=explained), body(), residuals())
+    figure = discrepancy_figure(diagnosis(), where(steady, {}, explained=explained), body(), residuals())
     assert (orange(figure) > 100) is told
     assert ("No missing force can be told" in said(figure)) is (explained < 0.1)
     assert ("told on 1 of 2 regions" in said(figure)) is told
@@ -187,7 +182,7 @@ def test_a_force_that_no_region_tells_is_drawn_as_one(stderr: float, told: bool)
     """A weight is spread over the body: what it is on each region is lost in the error, and still a force is missing."""
     pytest.importorskip("pyvista")
     steady = [force([0.0, -0.05, 0.0], 0.04, x) for x in (10, 30)]
-    whole = {"steady": force([0.0, -0.1, 0.0], stderr), "growing": {}}
+    whole = force([0.0, -0.1, 0.0], stderr)
     figure = discrepancy_figure(diagnosis(), where(steady, {}, together=whole), body(), residuals())
     assert (orange(figure) > 100) is told
     assert ("together (+0 −100 +0) mN,\ntold on no single region" in said(figure)) is told
@@ -197,7 +192,7 @@ def test_a_force_that_no_region_tells_is_drawn_as_one(stderr: float, told: bool)
 
 def test_nothing_explains_it(tmp_path: Path) -> None:
     pytest.importorskip("pyvista")
-    found = diagnosis(verdict="unknown", adequate=False, model_sequence=[rung("neo_hooke", 1.4, False)])
+    found = diagnosis(verdict="unknown", adequate=False, model_sequence=(rung("neo_hooke", 1.4, False),))
     assert "discrepancy.png" in names(draw_pictures(folder(tmp_path / "run", found, WHERE)))
     assert conclusion(found) == "none of the known effects explains it"
 
@@ -220,16 +215,17 @@ def test_the_ladder_in_one_line() -> None:
 def test_titles() -> None:
     assert conclusion(diagnosis()) == "adequate with gravity"
     assert conclusion(diagnosis(verdict="gravity+time_lag", adequate=False)) == "missing: gravity and time lag"
-    assert conclusion(diagnosis(verdict="unknown", adequate=False, ranking=[])) == "the model is not adequate"
+    assert conclusion(diagnosis(verdict="unknown", adequate=False, ranking=())) == "the model is not adequate"
     assert conclusion(diagnosis(verdict="none")) == "the plain model is adequate"
-    free = {"young": {}, "poisson": {}}
+    one = ConstantRow(value=1.0, stderr=0.1, interval=(0.8, 1.2), unit="Pa", per_thickness=False)
+    free = {"young": one, "poisson": one}
     assert conclusion(diagnosis(verdict="none", law=free)) == "adequate with young and poisson fitted"
     assert model_name("neo_hooke + gravity (young fitted)") == "neo-Hookean + gravity (young fitted)"
     assert model_name("soft_anchor(3)") == "soft anchor (3)"
 
 
 def test_one_action_has_nothing_held_out() -> None:
-    steps = [rung("neo_hooke", 1.4, False) | {"held_out_rms": None}]
+    steps = (replace(rung("neo_hooke", 1.4, False), held_out_rms=None),)
     assert len(models_figure(diagnosis(model_sequence=steps)).axes) == 2
 
 
@@ -240,9 +236,9 @@ def test_scale_and_frame() -> None:
 
 def test_large_forces_are_told_in_newtons_and_long_titles_fit() -> None:
     pytest.importorskip("pyvista")
-    found = where([force([0.0, -138.4, 0.0], 28.4)], {})
+    found = where((force([0.0, -138.4, 0.0], 28.4),), {})
     models = "neo_hooke + support_friction + active_stress + viscosity + stiffness_gradient + strain_stiffening"
-    figure = discrepancy_figure(diagnosis(model_sequence=[rung(models, 1.4, True)]), found, body(), residuals())
+    figure = discrepancy_figure(diagnosis(model_sequence=(rung(models, 1.4, True),)), found, body(), residuals())
     assert "together (+0 −138 +0) N,\ntold on 1 of 1 regions" in said(figure)
     assert all(text.get_window_extent().x1 < figure.bbox.width for text in figure.texts)
 

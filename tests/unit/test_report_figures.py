@@ -74,10 +74,10 @@ def test_everything_is_written(tmp_path: Path) -> None:
         "models",
     ):
         assert {f"{name}.svg", f"{name}.pdf"} <= names
-    assert {"ranking.csv", "ranking.tex", "ladder.csv", "sets.csv", "tests.csv", "provenance.csv"} <= names
+    assert {"ranking.csv", "ranking.tex", "models.csv", "sets.csv", "tests.csv", "provenance.csv"} <= names
     assert not {name for name in names if name.endswith(".png")}
     assert sorted(p for p in target.rglob("*") if p.is_file()) == sorted(files)
-    rows = list(csv.DictReader((target / "ladder.csv").open(encoding="utf-8")))
+    rows = list(csv.DictReader((target / "models.csv").open(encoding="utf-8")))
     assert [float(row["error (mm)"]) for row in rows] == [1.42, 0.21]
     surface = pv.read(target / "paraview" / "patches.vtp")
     assert surface.cell_data["anchored"].sum() == (surface.cell_data["place"] == 1).sum() == 8
@@ -100,9 +100,13 @@ def test_files_are_not_replaced_unasked(tmp_path: Path) -> None:
     assert (target / "mine.txt").exists()
 
 
-def test_an_error_leaves_nothing(tmp_path: Path) -> None:
+def _fails(*_: object) -> None:
+    raise ValueError("too many")
+
+
+def test_an_error_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder, target = runs.explored(tmp_path / "run"), tmp_path / "figures"
-    runs.rewrite(folder, "exploration.json", '{"steps": [{"number": 1}]}')
+    monkeypatch.setattr("bcid.report.exploration_picture.draw_sets", _fails)
     with pytest.raises(InputError, match="figure 'sets' cannot be made"):
         write_figures(folder, target, ["png"])
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run"]

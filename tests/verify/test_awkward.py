@@ -97,7 +97,7 @@ def test_nothing_is_wrong(slab: Scene) -> None:
     identified = found(slab, seen(slab))
     assert identified.anchored == ANCHORED
     assert identified.probability > THRESHOLDS.credible
-    assert identified.explains
+    assert identified.adequate
 
 
 AWKWARD: dict[str, Callable[[Scene], tuple[Scene, Measurement]]] = {

@@ -106,4 +106,6 @@ def test_one_axis_of_a_load_cell_tells_how_stiff_the_body_is(
     found = identify(slab, one, options=ON_SECOND)
     assert (found.anchored, found.probability > 0.99) == (("1", "2"), True)
     assert found.stiffness is not None
-    assert abs(found.stiffness.log) < 2 * found.stiffness.log_error < 0.2
+    young = found.stiffness.constants["young"]
+    assert young.stderr is not None
+    assert abs(young.value - young.scene) < 2 * young.stderr < 0.2 * young.scene

@@ -57,12 +57,12 @@ def test_the_force_tells_youngs_modulus(predictor: Predictor) -> None:
     assert told is not None
     assert told.values["young"] == pytest.approx(TRUE, rel=0.02)
     assert abs(told.values["young"] - TRUE) < 2.5 * told.log_error * TRUE < 0.05 * TRUE
-    assert told.text.startswith("young = 1")
-    assert told.text.endswith("; the scene has 15000)")
+    assert told.record().text.startswith("young = 1")
+    assert told.record().text.endswith("; the scene has 15000)")
     near = Fit.at(State.of(predictor, Model.of(predictor.scene).with_values({"young": 18e3}), ANCHORS)).stiffness
     assert near is not None
     assert near.values["young"] == pytest.approx(told.values["young"], rel=0.01)
-    assert near.text.endswith("; the scene has 15000)")
+    assert near.record().text.endswith("; the scene has 15000)")
     fitted = fit(state, ["young"])
     # Forces converge as of first order: extrapolated as positions are they would make this 1.4 %.
     assert fitted.values["young"] == pytest.approx(TRUE, rel=0.01)
@@ -118,6 +118,6 @@ def test_fit_twice_constant_that_starts_at_zero_reaches_the_truth(slab: Scene, s
     for name, true in (("c10", 10e3), ("c01", 40e3)):
         assert found.values[name] == pytest.approx(true, abs=4 * found.stderr[name])
         assert found.stderr[name] < 0.2 * 40e3
-        assert found.law[name]["unit"] == "Pa"
+        assert found.law[name].unit == "Pa"
     assert not any("not identifiable" in text for text in found.warnings)
     predictor.destroy()

@@ -81,8 +81,8 @@ def test_points_inside_of_a_body_tell_its_anchors(imported: tuple[Scene, Path]) 
     assert found.probability > 0.99
     assert found.discrepancy_probability is not None
     assert found.discrepancy_probability < 0.1
-    assert found.noise is not None
-    assert found.rms < 1.2 * found.noise
+    assert found.noise_rms is not None
+    assert found.rms < 1.2 * found.noise_rms
 
 
 def test_points_that_were_not_correlated_spoil_the_answer_where_they_are_believed(imported: tuple[Scene, Path]) -> None:

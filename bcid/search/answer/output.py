@@ -142,7 +142,7 @@ def diagnosis_record(done: Diagnosis) -> DiagnosisRecord:
         model_sequence=tuple(_model_row(rung, order) for rung in done.rungs),
         tests=last.adequacy.findings,
         residual_by=groups(state),
-        ranking=_ranking(asked, order) if asked else (),
+        ranking=ranked_effects(asked.ranking, asked.rivals, order) if asked and asked.ranking else (),
         variants_tried=asked.ranking.tried if asked and asked.ranking else 0,
         not_applicable=asked.ranking.excluded if asked and asked.ranking else {},
         separating_pulls=done.pulls,
@@ -273,13 +273,15 @@ def _parameters(
     }
 
 
-def _ranking(asked: ModelStep, order: Sequence[str]) -> tuple[RankedEffect, ...]:
-    assert asked.ranking is not None
+def ranked_effects(
+    ranking: Ranking, rivals: Sequence[FittedHypothesis], order: Sequence[str]
+) -> tuple[RankedEffect, ...]:
+    """Rows of a ranking with what was fitted of them, the best first; lengths in m. `order` has the patches of the scene."""
     best: dict[str, FittedHypothesis] = {}
-    for rival in asked.rivals:
+    for rival in rivals:
         best.setdefault(rival.effect, rival)
     rows = []
-    for row in _ordered(asked.ranking, asked.rivals):
+    for row in _ordered(ranking, rivals):
         own = best.get(row.effect)
         one = own.term if own else row.term
         errors = _own(own.fitted, one) if own else (row.stderr, {})
