@@ -80,7 +80,7 @@ def main(folder: Path, output: Path | None = None) -> Found:
     placed, moved = in_body(positions)
     plain = Scene.read(HERE / "scenes/strip.toml")
     chosen = speckles(placed)
-    scene = replace(plain, fiducials={f"p{i}": tuple(map(float, placed[0, i])) for i in chosen})
+    scene = replace(plain, fiducials={f"p{i}": triple(placed[0, i]) for i in chosen})
     measurement = replace(pulled(scene, placed[:, chosen], moved), units=Units())
     if output is not None:
         measurement.write(output)
@@ -101,7 +101,7 @@ def main(folder: Path, output: Path | None = None) -> Found:
     for name, state in (("incompressible", rubber), ("fitted", fitted.state)):
         left = 1e3 * np.sqrt(np.nanmean((measurement.positions - state.predicted) ** 2, axis=(0, 1)))
         print(f"{name}: error {left[0]:.3f} mm along, {left[1]:.3f} mm across, {left[2]:.3f} mm normal to the strip")
-    return Found(positions, measurement, rubber, fitted, (measured, *predicted), stretch)
+    return Found(positions, measurement, rubber, fitted, (measured, predicted[0], predicted[1]), stretch)
 
 
 def explained(folder: Path, every: int = 1, options: ExplainOptions | None = None) -> DiagnosisResult:
@@ -109,7 +109,7 @@ def explained(folder: Path, every: int = 1, options: ExplainOptions | None = Non
     placed, moved = in_body(triangulated(folder))
     plain = Scene.read(HERE / "scenes/strip.toml")
     seen = np.flatnonzero(np.isfinite(placed[0]).all(axis=1))
-    scene = replace(plain, fiducials={f"p{i}": tuple(map(float, placed[0, i])) for i in seen})
+    scene = replace(plain, fiducials={f"p{i}": triple(placed[0, i]) for i in seen})
     return explain(scene, pulled(scene, placed[::every, seen], moved[::every]), options=options)
 
 
@@ -118,7 +118,7 @@ def proposed(folder: Path, every: int = 3) -> ProposeResult:
     placed, moved = in_body(triangulated(folder))
     chosen = speckles(placed)
     plain = Scene.read(HERE / "scenes/strip.toml")
-    scene = replace(plain, fiducials={f"p{i}": tuple(map(float, placed[0, i])) for i in chosen})
+    scene = replace(plain, fiducials={f"p{i}": triple(placed[0, i]) for i in chosen})
     seen = pulled(scene, placed[::every, chosen], moved[::every])
     return propose(scene, seen, options=ProposeOptions(kinds=("energy", "fibres")), name="rubber")
 
@@ -167,10 +167,19 @@ def in_body(positions: Array) -> tuple[Array, Array]:
     return turned, moved
 
 
+def triple(values: Array) -> tuple[float, float, float]:
+    """Three numbers."""
+    x, y, z = map(float, values)
+    return x, y, z
+
+
 def speckles(placed: Array) -> list[int]:
     """The points nearest to the knots of a grid, of those that were tracked in all states."""
     rest, whole = placed[0], np.isfinite(placed).all(axis=(0, 2))
-    x, y = (np.linspace(*np.quantile(rest[:, axis], [0.04, 0.96]), n) for axis, n in ((0, ALONG), (1, ACROSS)))
+    x, y = (
+        np.linspace(np.quantile(rest[:, axis], 0.04), np.quantile(rest[:, axis], 0.96), n)
+        for axis, n in ((0, ALONG), (1, ACROSS))
+    )
     knots = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     away = np.linalg.norm(rest[None, :, :2] - knots[:, None], axis=2)
     away[:, ~whole] = np.inf

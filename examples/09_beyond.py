@@ -16,6 +16,7 @@ writes the file of an effect (``stuck.py``), with which ``explain`` then comes d
 import tempfile
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import ufl
@@ -32,7 +33,7 @@ HERE = Path(__file__).resolve().parent
 PLACE, RADIUS = np.array([0.045, 0.0, 0.040]), 0.012
 
 
-def springs(point, c):
+def springs(point: Any, c: Any) -> Any:
     """Springs on a disc with a soft edge: no formula of the grammar."""
     away = ufl.sqrt(ufl.inner(point.X - ufl.as_vector(PLACE.tolist()), point.X - ufl.as_vector(PLACE.tolist())) + 1e-12)
     disc = (1 - ufl.tanh((away - RADIUS) / (0.2 * RADIUS))) / 2
