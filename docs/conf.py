@@ -7,6 +7,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent), str(HERE / "_make")]
 
+from architecture import draw_architecture  # noqa: E402 - found on the path set above
 from commands import write_commands  # noqa: E402 - found on the path set above
 from concepts import draw_concepts  # noqa: E402
 from gallery import collect  # noqa: E402
@@ -58,5 +59,6 @@ made.mkdir(exist_ok=True)
 write_commands(made / "commands.md")
 write_result_files(HERE / "_make/files_head.md", made / "files.md")
 draw_concepts(made)
+draw_architecture(made)
 write_validation(made)
 collect(made / "examples")

@@ -26,8 +26,8 @@ from bcid.predict.pull_predictor import PullPredictor
 from bcid.predict.store import PredictionStore
 from bcid.scene import Scene
 from bcid.search.answer.comparison_job import ComparisonJob, compare_job, diagnose_job, explain_job, fit_job
-from bcid.search.answer.identification_job import IdentificationJob, fitting
-from bcid.search.answer.source import Source
+from bcid.search.answer.identification_job import IdentificationJob
+from bcid.search.answer.source import Source, fitting
 
 SceneLike = Scene | str | Path
 MeasurementLike = Measurement | str | Path

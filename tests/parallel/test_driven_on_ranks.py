@@ -18,7 +18,7 @@ from bcid.forms.forward import Forward
 from bcid.forms.model import check_physics
 from bcid.forms.solver.equilibrium import Settings
 from bcid.scene.parts import Driven, Level
-from bcid.search.answer.identification_job import fitting
+from bcid.search.answer.source import fitting
 
 pytestmark = pytest.mark.parallel
 WORLD = MPI.COMM_WORLD

@@ -16,7 +16,7 @@ from bcid.measurement import Measurement
 from bcid.measurement.compared import pooled
 from bcid.predict.predictor import Predictor
 from bcid.scene import Level, Scene, motions
-from bcid.search.answer.identification_job import fitting
+from bcid.search.answer.source import fitting
 from bcid.search.fitting.ranking import rank
 from bcid.search.fitting.state import State
 

@@ -14,7 +14,7 @@ from bcid.forms.simulate import recorded
 from bcid.measurement import Action, Measurement
 from bcid.measurement.compared import MOST_STEPS, LeftOut
 from bcid.scene import Scene
-from bcid.search.answer.identification_job import fitting
+from bcid.search.answer.source import fitting
 
 Array = NDArray[np.float64]
 STEPS = 200

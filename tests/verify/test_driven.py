@@ -19,7 +19,7 @@ from bcid.forms.simulate import simulate
 from bcid.measurement import Action
 from bcid.predict.predictor import Predictor
 from bcid.scene.parts import Driven, Level, Limits
-from bcid.search.answer.identification_job import fitting
+from bcid.search.answer.source import fitting
 from bcid.search.fitting.fit import Fit, fit
 from bcid.search.fitting.state import State
 

@@ -22,7 +22,7 @@ from bcid.forms.solver.status import Status
 from bcid.forms.solver.supports import Pose
 from bcid.measurement import Action
 from bcid.scene import Level
-from bcid.search.answer.identification_job import fitting
+from bcid.search.answer.source import fitting
 
 YOUNG, POISSON, THICKNESS = 20e3, 0.4, 2e-3
 FLAT = """SetFactory("OpenCASCADE");

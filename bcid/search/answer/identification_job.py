@@ -10,21 +10,20 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from bcid.base.collective import Comm, on_root
+from bcid.base.collective import Comm
 from bcid.base.options import IdentifyOptions
 from bcid.base.progress import Progress, Silent
 from bcid.base.units import percent
-from bcid.forms.driving import driven_by_points
 from bcid.forms.forward import check_geometry
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.mesh.body_mesh import among
 from bcid.forms.mesh.check import measures
-from bcid.forms.mesh.patches import divided, first_level
+from bcid.forms.mesh.patches import first_level
 from bcid.forms.mesh.shares import share
-from bcid.forms.model import Model, check_physics
+from bcid.forms.model import Model
 from bcid.inference.continuation import truncate_to_converged
 from bcid.measurement import AXES, WRENCH, Measurement
-from bcid.measurement.compared import LeftOut, in_plane, pooled, thinned
+from bcid.measurement.compared import LeftOut
 from bcid.predict.levels import pair
 from bcid.predict.store import CHECKPOINT, PredictionStore
 from bcid.results.common_rows import ComparedRow, LeftOutRow
@@ -33,6 +32,7 @@ from bcid.scene import Scene
 from bcid.search.answer.identification import Identification
 from bcid.search.answer.job import Job, Made
 from bcid.search.answer.refine import Refinement, check_rounds, identify_refined
+from bcid.search.answer.source import fingerprints, read_inputs
 from bcid.search.answer.surface_rounds import settled
 
 
@@ -144,38 +144,6 @@ def identified(
 def working_mesh(done: Refinement, comm: Comm) -> BodyMesh:
     """The mesh that an identification was made on; collective."""
     return level_mesh(done.scene, pair(done.scene, done.found.levels[-1], comm)[0], comm)
-
-
-def read_inputs(scene_file: Path, measurement_file: Path, comm: Comm) -> tuple[Scene, Measurement]:
-    """A scene, with its divided patches replaced by their pieces, and a measurement that fits it, with what is odd about it.
-
-    Collective on `comm`.
-
-    Raises:
-        InputError: one of them cannot be read, or they do not belong together; see also `bcid.forms.mesh.patches.divided`.
-    """
-    scene = on_root(comm, lambda: Scene.read(scene_file, physics=check_physics))
-    measurement = on_root(comm, lambda: Measurement.read(measurement_file))
-    return fitting(scene, measurement, comm)
-
-
-def fitting(scene: Scene, measurement: Measurement, comm: Comm) -> tuple[Scene, Measurement]:
-    """Both as they are compared: checked against each other, driven places with their points, dense points pooled, long actions
-    thinned, divided patches as their pieces; collective.
-
-    Raises:
-        InputError: they do not belong together; see also `bcid.forms.mesh.patches.divided`.
-    """
-    measurement.check_names(scene)
-    scene, measurement = driven_by_points(scene, in_plane(scene, measurement), comm)
-    scene, measurement = pooled(scene, measurement)
-    checked = replace(measurement, remarks=tuple(measurement.check(scene)))
-    return divided(scene, comm), thinned(checked)
-
-
-def fingerprints(scene: Scene, measurement: Measurement) -> dict[str, Any]:
-    """Fingerprints of scene and measurement, as run folders hold them."""
-    return {"scene": scene.fingerprint(), "measurement": measurement.fingerprint()}
 
 
 def documents(measurement: Measurement, done: Refinement, mesh: BodyMesh) -> dict[str, Any]:

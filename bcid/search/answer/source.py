@@ -13,14 +13,16 @@ from bcid.base.fingerprint import file_fingerprint
 from bcid.base.run_folder import RunFolder
 from bcid.forms import effects
 from bcid.forms.course import course_of, in_time
+from bcid.forms.driving import driven_by_points
 from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import check_geometry
-from bcid.forms.model import Model, Term
+from bcid.forms.mesh.patches import divided
+from bcid.forms.model import Model, Term, check_physics
 from bcid.measurement import Measurement
+from bcid.measurement.compared import in_plane, pooled, thinned
 from bcid.results.identification_record import IdentificationRecord
 from bcid.results.run_documents import read_record
 from bcid.scene import Scene
-from bcid.search.answer.identification_job import fingerprints, read_inputs
 
 
 @dataclass(frozen=True)
@@ -160,3 +162,35 @@ def find_effect(name: str, own: Iterable[Effect]) -> Effect:
     if name not in effects.names():
         raise InputError(f"unknown effect '{name}'; {nearest(name, [*effects.names(), *mine])}")
     return effects.effect(name)
+
+
+def read_inputs(scene_file: Path, measurement_file: Path, comm: Comm) -> tuple[Scene, Measurement]:
+    """A scene, with its divided patches replaced by their pieces, and a measurement that fits it, with what is odd about it.
+
+    Collective on `comm`.
+
+    Raises:
+        InputError: one of them cannot be read, or they do not belong together; see also `bcid.forms.mesh.patches.divided`.
+    """
+    scene = on_root(comm, lambda: Scene.read(scene_file, physics=check_physics))
+    measurement = on_root(comm, lambda: Measurement.read(measurement_file))
+    return fitting(scene, measurement, comm)
+
+
+def fitting(scene: Scene, measurement: Measurement, comm: Comm) -> tuple[Scene, Measurement]:
+    """Both as they are compared: checked against each other, driven places with their points, dense points pooled, long actions
+    thinned, divided patches as their pieces; collective.
+
+    Raises:
+        InputError: they do not belong together; see also `bcid.forms.mesh.patches.divided`.
+    """
+    measurement.check_names(scene)
+    scene, measurement = driven_by_points(scene, in_plane(scene, measurement), comm)
+    scene, measurement = pooled(scene, measurement)
+    checked = replace(measurement, remarks=tuple(measurement.check(scene)))
+    return divided(scene, comm), thinned(checked)
+
+
+def fingerprints(scene: Scene, measurement: Measurement) -> dict[str, Any]:
+    """Fingerprints of scene and measurement, as run folders hold them."""
+    return {"scene": scene.fingerprint(), "measurement": measurement.fingerprint()}
