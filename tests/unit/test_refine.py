@@ -119,9 +119,9 @@ class Searches:
             anchored=tuple(p for p in scene.patches if p in best),
             patches={p: self.probability if p in best else 1 - self.probability for p in scene.patches},
             rms=self.rms * NOISE,
-            noise=NOISE,
+            noise_rms=NOISE,
             levels=(self.level,),
-            discretisation=self.mesh_error * NOISE,
+            discretisation_rms=self.mesh_error * NOISE,
             alternatives=(),
         )
 
@@ -199,7 +199,7 @@ def test_halves_stay_that_differ_for_sure_and_explain_more(better: bool, sure: f
         on = "7.1" if "7.1" in scene.patches else "7"
         chance = {p: {on: sure, "7.2": 0.0}.get(p, 0.0) for p in scene.patches}
         rms = (1.0 if better else 2.5) if on == "7.1" else 2.0
-        about = {"noise": NOISE, "levels": (3,), "discretisation": None, "alternatives": ()}
+        about = {"noise_rms": NOISE, "levels": (3,), "discretisation_rms": None, "alternatives": ()}
         return SimpleNamespace(anchored=(on,), patches=chance, rms=rms * NOISE, **about)
 
     rounds = _Rounds(Tree(SLAB, None), IdentifyOptions(), Silent(), search, 1000)
