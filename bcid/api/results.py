@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Self
 from bcid.base.errors import InputError
 from bcid.base.run_folder import RunFolder
 from bcid.base.units import percent
-from bcid.results.common_rows import ParameterRow
+from bcid.results.common_rows import ParameterRow, set_label
 from bcid.results.diagnosis_record import DiagnosisRecord
 from bcid.results.exploration_record import ExplorationRecord, ExplorationStep
 from bcid.results.identification_record import IdentificationRecord
@@ -113,10 +113,6 @@ def _shown(figure: Figure) -> Figure:
     return figure
 
 
-def _set(names: Sequence[str]) -> str:
-    return "{" + " ".join(names) + "}"
-
-
 @dataclass(frozen=True, repr=False, kw_only=True)
 class IdentifyResult(Result, IdentificationRecord):
     """The anchored patches, and how certain they are: all that `identification.json` holds, lengths in m."""
@@ -124,14 +120,16 @@ class IdentifyResult(Result, IdentificationRecord):
     @property
     def headline(self) -> str:
         """The set and its probability."""
-        return f"anchored {_set(self.anchored)}, probability {percent(self.probability)}, misses by {self.rms * 1e3:.3g} mm"
+        return f"anchored {set_label(self.anchored)}, probability {percent(self.probability)}, misses by {self.rms * 1e3:.3g} mm"
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row for each set: patches, probability, RMS residual (m); the reported one first."""
         import pandas as pd
 
-        rows = [{"anchored": _set(s.anchored), "probability": s.probability, "rms": s.rms} for s in self.alternatives]
-        first = {"anchored": _set(self.anchored), "probability": self.probability, "rms": self.rms}
+        rows = [
+            {"anchored": set_label(s.anchored), "probability": s.probability, "rms": s.rms} for s in self.alternatives
+        ]
+        first = {"anchored": set_label(self.anchored), "probability": self.probability, "rms": self.rms}
         return pd.DataFrame([first, *rows])
 
     def plot(self) -> Figure:
@@ -165,13 +163,13 @@ class DiagnosisResult(Result, DiagnosisRecord):
         last = self.model_sequence[-1]
         word = {True: "adequate", False: "not adequate", None: "nothing against it"}[last.adequate]
         misses = f"misses by {last.rms * 1e3:.3g} mm (noise {self.noise_rms * 1e3:.3g})"
-        return f"{last.model}, anchors {_set(last.anchored)}: {misses}, {word}"
+        return f"{last.model}, anchors {set_label(last.anchored)}: {misses}, {word}"
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row for each model of the model sequence; lengths in m."""
         import pandas as pd
 
-        return pd.DataFrame([one.content() | {"anchored": _set(one.anchored)} for one in self.model_sequence])
+        return pd.DataFrame([one.content() | {"anchored": set_label(one.anchored)} for one in self.model_sequence])
 
     def effects(self) -> pd.DataFrame:
         """One row for each effect of the catalogue that was ranked, the most promising first; lengths in m."""
@@ -241,8 +239,10 @@ class ExploreResult(Result, ExplorationRecord):
 def _pull_row(step: ExplorationStep) -> dict[str, Any]:
     likeliest = step.posterior[0]
     names = ("number", "grasp", "direction", "expected_bits", "gained_bits", "amplitude")
-    name = " + ".join([_set(likeliest.anchored), *filter(None, [likeliest.effect])])
-    return {key: getattr(step, key) for key in names} | {"likeliest": name, "probability": likeliest.probability}
+    return {key: getattr(step, key) for key in names} | {
+        "likeliest": likeliest.label,
+        "probability": likeliest.probability,
+    }
 
 
 _KINDS: dict[str, type[Result]] = {

@@ -157,12 +157,6 @@ class LeftOut:
     rms: float
     compared: float
 
-    def __str__(self) -> str:
-        return (
-            f"{self.frames} more frames were not compared, and are a test: the model misses them by {self.rms * 1e3:.3g} mm, "
-            f"those that were compared by {self.compared * 1e3:.3g} mm"
-        )
-
     @classmethod
     def of(cls, scene: Scene, measurement: Measurement, predicted: Array) -> LeftOut | None:
         """Of what a model shows in the compared frames, (frames, rows, 3), m, fiducials of the scene first; None where all are.

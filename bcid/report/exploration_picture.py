@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from bcid.base.units import percent
 from bcid.report.figure import DARK, short
-from bcid.results.exploration_record import ExplorationHypothesis, ExplorationRecord, ExplorationStep
+from bcid.results.exploration_record import ExplorationRecord, ExplorationStep
 
 # Okabe & Ito; hatches tell them apart in black and white.
 _COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
@@ -42,21 +42,17 @@ def title(found: ExplorationRecord) -> str:
     count = len(found.steps)
     pulls = f"{count} pull{'s' if count != 1 else ''}"
     if found.reason == "decided":
-        return f"anchored: {_name(found)}, probability {percent(found.probability)}, after {pulls}"
+        return f"anchored: {found.hypothesis.label}, probability {percent(found.probability)}, after {pulls}"
     if found.reason == "inseparable":
-        return "no allowed pull separates " + ", ".join(map(_name, found.not_separated[:4]))
+        return "no allowed pull separates " + ", ".join(one.label for one in found.not_separated[:4])
     if found.reason == "unexplained":
-        return f"nothing explains what was seen after {pulls}; likeliest {_name(found)}"
-    return f"not decided after {pulls}; likeliest {_name(found)}, probability {percent(found.probability)}"
-
-
-def _name(hypothesis: ExplorationHypothesis | ExplorationRecord) -> str:
-    return "{" + " ".join(hypothesis.anchored) + "}" + (f" + {hypothesis.effect}" if hypothesis.effect else "")
+        return f"nothing explains what was seen after {pulls}; likeliest {found.hypothesis.label}"
+    return f"not decided after {pulls}; likeliest {found.hypothesis.label}, probability {percent(found.probability)}"
 
 
 def draw_sets(axes: Axes, steps: Sequence[ExplorationStep]) -> None:
     """One stacked bar per pull: the likeliest sets, the rest in grey."""
-    beliefs = [{_name(entry): entry.probability for entry in step.posterior} for step in steps]
+    beliefs = [{entry.label: entry.probability for entry in step.posterior} for step in steps]
     weight = {name: sum(belief.get(name, 0.0) for belief in beliefs) for belief in beliefs for name in belief}
     shown = sorted(weight, key=lambda name: -weight[name])[: len(_COLOURS)]
     # Few bars are not broad.

@@ -14,6 +14,7 @@ from bcid.report.models_chart import place_name
 from bcid.report.residual import residuals_of
 from bcid.report.table import Cell, Column, Table, rounded, text
 from bcid.report.text import amount, listed, patches
+from bcid.results.common_rows import set_label
 from bcid.results.diagnosis_record import DiagnosisRecord, RankedEffect, SensitivityRow
 from bcid.results.exploration_record import ExplorationRecord, ExplorationStep
 from bcid.results.identification_record import IdentificationRecord
@@ -193,7 +194,7 @@ def path_table(proposal: ProposalRecord) -> Table | None:
 
 def sets_table(d: IdentificationRecord) -> Table:
     """The likeliest anchor sets of an identification."""
-    columns = [text("anchored", show=_set), text("probability", show=percent), Column("residual (mm)", "rms")]
+    columns = [text("anchored", show=set_label), text("probability", show=percent), Column("residual (mm)", "rms")]
     columns.append(Column("reported set there (mm)", lambda one: None if one is d else one.reported_rms))
     columns.append(Column("level", lambda one: "" if one is d else one.level, str))
     caption = "The reported set and the next best: what they miss in the frames in which both are known."
@@ -212,13 +213,9 @@ def pulls_table(d: ExplorationRecord) -> Table:
 
 def _likeliest(step: ExplorationStep) -> str:
     if not step.posterior:
-        return _set(())
+        return set_label(())
     first = step.posterior[0]
-    return _set(first.anchored) + (f" + {plain(first.effect)}" if first.effect else "")
-
-
-def _set(anchored: Sequence[str]) -> str:
-    return "{" + " ".join(anchored) + "}"
+    return set_label(first.anchored) + (f" + {plain(first.effect)}" if first.effect else "")
 
 
 def residual_table(found: Found, by: str) -> Table:

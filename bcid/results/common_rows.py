@@ -8,6 +8,11 @@ from dataclasses import dataclass
 from bcid.results.record import Record, length
 
 
+def set_label(anchored: Iterable[str]) -> str:
+    """An anchor set: "{1 2}"."""
+    return "{" + " ".join(anchored) + "}"
+
+
 @dataclass(frozen=True, kw_only=True)
 class ParameterRow(Record):
     """A number of an effect, in its unit.

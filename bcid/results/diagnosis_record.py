@@ -5,7 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from bcid.results.common_rows import ConstantRow, InputUncertaintyRow, LeftOutRow, ParameterRow, StiffnessRecord
+from bcid.results.common_rows import (
+    ConstantRow,
+    InputUncertaintyRow,
+    LeftOutRow,
+    ParameterRow,
+    StiffnessRecord,
+    set_label,
+)
 from bcid.results.record import FileRecord, Record, length
 
 
@@ -148,7 +155,7 @@ class HypothesisRow(Record):
     def label(self) -> str:
         """As in tables: "{3 4} + gravity and something unknown"."""
         more = " and something unknown" if self.unknown else ""
-        return "{" + " ".join(self.anchored) + "}" + (f" + {'+'.join(self.effects)}" if self.effects else "") + more
+        return set_label(self.anchored) + (f" + {'+'.join(self.effects)}" if self.effects else "") + more
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from bcid.base.units import UNTOLD, falls, for_people, hardly_falls, p_value, percent, significance, uncertain
+from bcid.results.common_rows import set_label
 from bcid.results.diagnosis_record import (
     BREAKING,
     DiagnosisRecord,
@@ -22,7 +23,6 @@ from bcid.results.words import (
     parameter_text,
     plain,
     pull_text,
-    set_label,
 )
 
 # A pull separates two explanations when their predictions are so many times the noise apart.

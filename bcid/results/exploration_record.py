@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from bcid.results.common_rows import ParameterRow, StiffnessRecord
+from bcid.results.common_rows import ParameterRow, StiffnessRecord, set_label
 from bcid.results.record import FileRecord, Record, length
 
 
@@ -24,7 +24,7 @@ class ExplorationHypothesis(Record):
     @property
     def label(self) -> str:
         """As in tables: "{3 4} + gravity"."""
-        return "{" + " ".join(self.anchored) + "}" + (f" + {self.effect}" if self.effect else "")
+        return set_label(self.anchored) + (f" + {self.effect}" if self.effect else "")
 
 
 @dataclass(frozen=True, kw_only=True)

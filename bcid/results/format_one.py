@@ -1,4 +1,4 @@
-"""JSON files of runs of version 0.8 and before, format/1: their keys in those of format/2."""
+"""JSON files of runs of version 0.2 and before, format/1: their keys in those of format/2."""
 
 from __future__ import annotations
 

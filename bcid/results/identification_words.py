@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from bcid.base.units import percent
+from bcid.results.common_rows import set_label
 from bcid.results.identification_record import IdentificationRecord
-from bcid.results.words import exceeding, set_label
+from bcid.results.words import exceeding
 
 # What names of surface marks begin with.
 SURFACE_MARK = "surface"

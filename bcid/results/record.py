@@ -50,7 +50,8 @@ class Record:
         """
         if not isinstance(content, Mapping):
             raise InputError(f"{where or 'the file'}: expected a table, found {_shown(content)}")
-        values, kinds = {}, _types(cls)  # type: ignore[arg-type]
+        own: Any = cls
+        values, kinds = {}, _types(own)
         for f in _filed(cls):
             name = f"{where}.{f.name}" if where else f.name
             if f.name in content:

@@ -11,7 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from bcid.base.units import force_unit, p_value, percent
 from bcid.results import diagnosis_words, identification_words, words
-from bcid.results.common_rows import unknown_thickness
+from bcid.results.common_rows import set_label, unknown_thickness
 from bcid.results.diagnosis_record import DiagnosisRecord, DiscrepancyRecord, ForceRow
 from bcid.results.exploration_record import ExplorationRecord
 from bcid.results.identification_record import IdentificationRecord
@@ -53,7 +53,7 @@ def _templates() -> Environment:
     )
     made.filters |= {"percent": percent, "p": p_value, "g": _three_digits}
     made.globals |= {
-        "set_label": words.set_label,
+        "set_label": set_label,
         "parameter_text": words.parameter_text,
         "input_text": words.input_text,
         "unknown_thickness": unknown_thickness,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 from bcid.base.units import for_people, limited, p_value, uncertain
 from bcid.results.common_rows import InputUncertaintyRow, ParameterRow
@@ -30,11 +30,6 @@ def plain(name: str) -> str:
 def model_name(model: str) -> str:
     """The name of a model as it is read: "neo-Hookean + gravity"."""
     return " + ".join(plain(part) for part in model.split(" + "))
-
-
-def set_label(anchored: Iterable[str]) -> str:
-    """An anchor set: "{1 2}"."""
-    return "{" + " ".join(anchored) + "}"
 
 
 def parameter_text(name: str, number: ParameterRow) -> str:

@@ -14,7 +14,7 @@ BUDGETS = {
     "forms": (14420, 117),
     "inference": (3580, 22),
     "predict": (1850, 12),
-    "results": (1700, 13),
+    "results": (1705, 13),
     "search": (9140, 50),
     "grammar": (2510, 18),
     "exploration": (1840, 11),

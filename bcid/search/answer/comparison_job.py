@@ -36,6 +36,7 @@ class ComparisonJob(Job):
         level: of the mesh hierarchy; by default the last with at most 40,000 unknowns.
         options: as the run folder has them.
         work: does it; collective.
+        makes: files and folders of the run folder.
     """
 
     command: str
@@ -43,13 +44,9 @@ class ComparisonJob(Job):
     level: int | None
     options: dict[str, Any]
     work: Callable[[Predictor, Source], Diagnosis]
+    makes: tuple[str, ...] = MAKES
 
     main, told = "diagnosis.json", ("adequate", "verdict", "anchored", "rms", "noise_rms")
-
-    @property
-    def makes(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Where `explain` finds that no known effect explains the measurement, a term that does is looked for in `propose/`."""
-        return (*MAKES, "propose/") if self.command == "explain" else MAKES
 
     @property
     def inputs(self) -> dict[str, Any]:
@@ -144,4 +141,6 @@ def explain_job(source: Source, options: ExplainOptions | None = None) -> Compar
     check_level(chosen.level, source.scene, "--level")
     for name in chosen.only or ():
         find_effect(name, source.own)
-    return ComparisonJob("explain", source, chosen.level, asdict(chosen), partial(explained, options=chosen))
+    # Where no known effect explains the measurement, a term that does is looked for in a folder of its own.
+    makes = (*MAKES, "propose/")
+    return ComparisonJob("explain", source, chosen.level, asdict(chosen), partial(explained, options=chosen), makes)

@@ -30,8 +30,6 @@ Array = NDArray[np.float64]
 _XTOL = 1e-3
 # So does one that changes chi-square by less than this part of it.
 FTOL = 1e-4
-# A stiffness whose 95 % interval is wider than this factor is not identifiable.
-_DECADES = 1e6
 # Step of a difference of whole trajectories, in scales; where what acts depends on the last step it jumps with every step that
 # is halved in one of them only, and the difference must be large against that.
 _STEP, _STEP_FROM_PAST = 1e-2, 0.3
@@ -166,7 +164,7 @@ class Fit:
                 continue
             value, unit = values[name], known[name].unit
             stiff, ends = unit == "Pa", _interval(value, error, unit)
-            loose = error > UNTOLD or (stiff and ends[1] > _DECADES * ends[0])
+            loose = error > UNTOLD or (stiff and ends[1] > UNTOLD * ends[0])
             one = scale.factor if stiff else 1.0
             found[name] = ConstantRow(
                 value=value * one,
